@@ -1,0 +1,323 @@
+"""The whole configuration as frozen dataclasses: defaults (the paper's), units, legal values, and loading from YAML.
+
+Every value lives here once; profiles in config/*.yaml, the README's parameter table and the ROS parameters derive from it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Dict, Iterator, Optional, Sequence, Tuple
+
+import yaml
+
+from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.workspace import STATE_NAMES, Workspace
+
+EXPLORERS = ("ergodic", "random_walk", "uniform", "uniform_ergodic")
+
+
+def setting(
+    default: Any,
+    meaning: str,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: Sequence[str] = (),
+) -> Any:
+    """A dataclass field that knows its unit, meaning and legal values. Numbers must lie in [low, high]."""
+    metadata = {"meaning": meaning, "unit": unit, "low": low, "high": high, "choices": tuple(choices)}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class WorkspaceConfig:
+    """Where the camera may go, in the base frame."""
+
+    x: Tuple[float, ...] = setting((0.325, 0.625), "limits of the camera's x", "m", -2.0, 2.0)
+    y: Tuple[float, ...] = setting((-0.15, 0.15), "limits of the camera's y", "m", -2.0, 2.0)
+    theta: Tuple[float, ...] = setting((-2.0, 2.0), "limits of the camera's yaw", "rad", -math.pi, math.pi)
+
+    def box(self) -> Workspace:
+        """The limits as a Workspace. Raises ConfigError when they are out of order."""
+        limits = (self.x, self.y, self.theta)
+        for name, pair in zip(STATE_NAMES, limits):
+            if len(pair) != 2:
+                raise ConfigError(f"workspace/{name} has {len(pair)} numbers: give [lower, upper]")
+        return Workspace(lower=tuple(pair[0] for pair in limits), upper=tuple(pair[1] for pair in limits))
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """The wrist camera: what an image must look like, and where it is taken from."""
+
+    width: int = setting(180, "image width", "px", 8, 4096)
+    height: int = setting(180, "image height", "px", 8, 4096)
+    field_of_view: float = setting(30.0, "vertical field of view", "deg", 1.0, 150.0)
+    distance: float = setting(0.3, "height of the camera above the table", "m", 0.05, 2.0)
+    max_age: float = setting(1.0, "wall time without a new image after which the planner says so and waits", "s", 0.05, 60.0)
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """Limits that the node in front of the robot keeps, whoever commands it."""
+
+    max_speed: float = setting(0.15, "limit of the camera's speed along each of x and y", "m/s", 0.001, 1.0)
+    max_turn_rate: float = setting(1.5, "limit of the camera's yaw rate", "rad/s", 0.001, 2.6)
+    max_duration: float = setting(1.0, "longest time that one velocity may be held", "s", 0.01, 10.0)
+    commander_timeout: float = setting(
+        5.0, "wall time after its last command for which a commander keeps the arm to itself", "s", 0.1, 600.0
+    )
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The conditional variational autoencoder (paper, Table 2)."""
+
+    latent_size: int = setting(16, "number of latent variables", "", 1, 1024)
+    hidden_sizes: Tuple[int, ...] = setting((512, 256), "encoder's fully connected layers; the decoder mirrors them", "", 1, 8192)
+    channels: Tuple[int, ...] = setting((10, 10, 20), "filters of the convolutions", "", 1, 512)
+    kernels: Tuple[int, ...] = setting((3, 3, 5), "kernel sizes of the convolutions", "px", 1, 31)
+    strides: Tuple[int, ...] = setting((2, 2, 3), "strides of the convolutions", "px", 1, 31)
+
+
+@dataclass(frozen=True)
+class ObjectiveConfig:
+    """The loss and the schedule of its weights (paper, Eq. 17 and Alg. 1, line 13)."""
+
+    chi: float = setting(4.0, "scale of the latent regularisation: log10 beta = -log10(min h / max h) - chi", "", 0.0, 20.0)
+    beta_max: float = setting(0.01, "upper clamp of beta", "", 0.0, 1e6)
+    gamma_weight: float = setting(0.1, "gamma is this times the workspace coverage k; 0 switches the term off", "", 0.0, 100.0)
+    schedule_every: int = setting(25, "updates between two evaluations of beta and gamma", "updates", 1, 100000)
+    schedule_window: int = setting(25, "evaluations over which beta and gamma are averaged", "", 1, 100000)
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Online training (paper, appendix)."""
+
+    batch_size: int = setting(64, "observations of a mini-batch", "", 1, 65536)
+    learning_rate: float = setting(1e-3, "learning rate of Adam", "", 1e-8, 1.0)
+    first_update_at: int = setting(64, "observations before learning starts", "", 1, 1000000)
+    updates_per_observation: int = setting(3, "model updates for each observation", "", 0, 1000)
+    max_lag: int = setting(
+        6, "updates that the trainer may be behind before the planner waits; 0 makes a run repeatable", "updates", 0, 1000000
+    )
+    device: str = setting("auto", "where the model lives", "", choices=("auto", "cpu", "cuda"))
+    threads: int = setting(0, "CPU threads of the trainer; 0 takes every core", "", 0, 1024)
+    active_unit_threshold: float = setting(0.01, "variance of a latent mean above which the unit is active", "", 0.0, 100.0)
+    evaluate_every: int = setting(150, "updates between two evaluations on a fixed subset", "updates", 1, 1000000)
+    evaluation_size: int = setting(256, "observations of the fixed subset", "", 2, 65536)
+    checkpoint_every: int = setting(600, "updates between two checkpoints", "updates", 1, 1000000)
+    checkpoints_kept: int = setting(2, "checkpoints kept", "", 1, 1000)
+
+
+@dataclass(frozen=True)
+class ExplorationConfig:
+    """What is explored, for how long, and against which samples coverage is measured."""
+
+    explorer: str = setting("ergodic", "how the arm explores", "", choices=EXPLORERS)
+    steps: int = setting(3000, "exploration steps, one observation each", "", 1, 1000000)
+    seed: int = setting(0, "seed of every random draw", "", 0, 2**31 - 1)
+    step_duration: float = setting(0.2, "time between two observations", "s", 0.01, 10.0)
+    samples: int = setting(1000, "workspace samples S", "", 10, 1000000)
+    fresh_samples: int = setting(100, "samples drawn anew at each step", "", 0, 1000000)
+    sample_box: float = setting(1.0, "size of the box the samples are drawn in, in workspaces; the authors take 1.15", "", 1.0, 2.0)
+    kernel_variance: float = setting(
+        0.0, "variance of the coverage kernel in normalised units; 0 takes the authors' rule, 0.0576 for S = 1000", "", 0.0, 4.0
+    )
+    authors_coverage: bool = setting(
+        False, "workspace coverage as the authors' controller has it: divided by its maximum, 1 outside the workspace"
+    )
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """KL-ergodic receding-horizon control (paper, Sec. 2.3)."""
+
+    horizon: int = setting(10, "planned steps", "", 2, 200)
+    iterations: int = setting(3, "improvements of the plan per step", "", 1, 100)
+    control_weight: float = setting(10.0, "weight R of the control in the adjoint update", "", 1e-6, 1e9)
+    acceleration_limit: float = setting(1.0, "limit of the control, in velocity units per second", "", 1e-3, 100.0)
+    velocity_limits: Tuple[float, ...] = setting(
+        (1.25, 1.25, 0.625), "velocity of each axis, in the controller's units, at the arm's highest speed", "", 1e-3, 100.0
+    )
+    barrier_weight: float = setting(5.0, "weight of the barrier", "", 0.0, 1e6)
+    barrier_power: float = setting(4.0, "power of the barrier", "", 1.0, 10.0)
+    barrier_margin: float = setting(0.1, "distance from a limit at which the barrier begins, normalised", "", 0.0, 0.9)
+    random_candidates: int = setting(8, "random two-segment plans compared at each step", "", 0, 1000)
+    normalise_kernels: bool = setting(True, "divide each kernel by its mass inside the workspace, so that parking in a corner costs")
+    measured_velocity_weight: float = setting(0.5, "how much of the velocity tracking error the plan takes over", "", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class SessionConfig:
+    """Where the run is kept."""
+
+    name: str = setting("", "name of the session folder; empty makes one of world, explorer, seed and time")
+    root: str = setting("~/.ros/embodied_active_learning", "folder that holds the sessions")
+    resume: bool = setting(False, "continue the session of that name")
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """The PyBullet stand-in."""
+
+    world: str = setting("diagonal", "name of a world in worlds/, or the path of a YAML file")
+    physics_rate: int = setting(240, "physics steps per second", "Hz", 60, 2000)
+    start: Tuple[float, ...] = setting((0.475, 0.0, 0.0), "pose at the start: x, y, theta", "m, m, rad", -4.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that a run depends on."""
+
+    workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    arm: ArmConfig = field(default_factory=ArmConfig)
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    model: ModelConfig = field(default_factory=ModelConfig)
+    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    session: SessionConfig = field(default_factory=SessionConfig)
+
+    def __post_init__(self) -> None:
+        """Check what no single value can: limits against each other."""
+        box = self.workspace.box()
+        if len(self.simulation.start) != box.size or not box.contains(self.simulation.start):
+            raise ConfigError(f"simulation/start {list(self.simulation.start)} lies outside the workspace")
+        if len(self.planner.velocity_limits) != box.size:
+            raise ConfigError(f"planner/velocity_limits needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}")
+        if self.exploration.step_duration > self.arm.max_duration:
+            raise ConfigError("exploration/step_duration is longer than arm/max_duration: the arm would refuse each command")
+        if self.exploration.fresh_samples > self.exploration.samples:
+            raise ConfigError("exploration/fresh_samples is larger than exploration/samples")
+        if self.training.batch_size > self.training.first_update_at:
+            raise ConfigError("training/batch_size is larger than training/first_update_at: the first batch could not be filled")
+        layers = {len(self.model.channels), len(self.model.kernels), len(self.model.strides)}
+        if len(layers) != 1:
+            raise ConfigError("model/channels, model/kernels and model/strides differ in length: give one number a convolution")
+
+    @classmethod
+    def from_dict(cls, values: Dict[str, Any]) -> "Config":
+        """Sections of keys -> Config. Raises ConfigError naming the key, the value and what is legal."""
+        if not isinstance(values, dict):
+            raise ConfigError(f"the configuration is {type(values).__name__}, not sections of keys")
+        sections = {section.name: section.default_factory for section in dataclasses.fields(cls)}
+        _refuse_unknown(values, sections, "section")
+        return cls(**{name: _build_section(sections[name], name, keys) for name, keys in values.items()})
+
+    def to_dict(self) -> Dict[str, Any]:
+        """Plain sections of keys, ready for YAML; tuples become lists."""
+        return {
+            name: {key: list(value) if isinstance(value, tuple) else value for key, value in section.items()}
+            for name, section in dataclasses.asdict(self).items()
+        }
+
+
+def load_profile(path: Path) -> Dict[str, Any]:
+    """Sections of keys that a YAML profile sets. Raises ConfigError for a missing or unreadable file."""
+    try:
+        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"profile {path} cannot be read: {error.strerror}") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"profile {path} is not YAML: {error}") from error
+    return {} if values is None else values
+
+
+def merge(base: Dict[str, Any], overrides: Dict[str, Any]) -> Dict[str, Any]:
+    """Sections of keys in which the overrides win; neither argument is changed."""
+    merged = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in base.items()}
+    for name, keys in overrides.items():
+        merged[name] = {**merged.get(name, {}), **keys}
+    return merged
+
+
+def settings(config_class: type = Config) -> Iterator[Tuple[str, dataclasses.Field]]:
+    """Every (section, field) in the order of declaration: what the parameter table is made of."""
+    for section in dataclasses.fields(config_class):
+        for item in dataclasses.fields(section.default_factory):
+            yield section.name, item
+
+
+def legal_values(item: dataclasses.Field) -> str:
+    """The legal values of a field in words; empty when everything of its type is legal."""
+    low, high, choices = item.metadata["low"], item.metadata["high"], item.metadata["choices"]
+    if choices:
+        return " | ".join(choices)
+    if math.isinf(low) and math.isinf(high):
+        return ""
+    return f"{low:g} .. {high:g}"
+
+
+def _refuse_unknown(given: Dict[str, Any], known: Dict[str, Any], kind: str, section: str = "") -> None:
+    for key in given:
+        if key not in known:
+            nearest = difflib.get_close_matches(str(key), list(known), n=1, cutoff=0.4)
+            hint = f"did you mean {section}{nearest[0]}?" if nearest else f"known: {', '.join(known)}"
+            raise ConfigError(f"unknown {kind} {section}{key}: {hint}")
+
+
+def _build_section(section_class: type, name: str, keys: Any) -> Any:
+    if not isinstance(keys, dict):
+        raise ConfigError(f"section {name} is {keys!r}: give keys and values")
+    known = {item.name: item for item in dataclasses.fields(section_class)}
+    _refuse_unknown(keys, known, "key", f"{name}/")
+    return section_class(**{key: _check(f"{name}/{key}", known[key], value) for key, value in keys.items()})
+
+
+def _check(key: str, item: dataclasses.Field, value: Any) -> Any:
+    """The value in the field's own type, or ConfigError."""
+    default = item.default
+    if isinstance(default, tuple):
+        if not isinstance(value, (list, tuple)) or not value:
+            raise ConfigError(f"{key} is {value!r}: give a list of numbers")
+        return tuple(_check_number(key, item, part, type(default[0])) for part in value)
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise ConfigError(f"{key} is {value!r}: give true or false")
+        return value
+    if isinstance(default, str):
+        return _check_text(key, item, value)
+    return _check_number(key, item, value, type(default))
+
+
+def _check_text(key: str, item: dataclasses.Field, value: Any) -> str:
+    if not isinstance(value, str):
+        raise ConfigError(f"{key} is {value!r}: give a text")
+    choices = item.metadata["choices"]
+    if choices and value not in choices:
+        nearest = difflib.get_close_matches(value, choices, n=1)
+        hint = f"did you mean {nearest[0]}? " if nearest else ""
+        raise ConfigError(f"{key} is {value!r}: {hint}legal are {', '.join(choices)}")
+    return value
+
+
+def _check_number(key: str, item: dataclasses.Field, value: Any, kind: type) -> Any:
+    whole = kind is int
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or (
+        whole and value != int(value)
+    ):
+        raise ConfigError(f"{key} is {value!r}: give a {'whole ' if whole else ''}number")
+    low, high = item.metadata["low"], item.metadata["high"]
+    if not low <= value <= high:
+        unit = f" {item.metadata['unit']}" if item.metadata["unit"] else ""
+        raise ConfigError(f"{key} is {value!r}: legal is {low:g} to {high:g}{unit}")
+    return kind(value)
+
+
+def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:
+    """A profile by name in the given folder, or by path. Raises ConfigError listing what there is."""
+    path = Path(name_or_path).expanduser()
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    known = sorted(candidate.stem for candidate in folder.glob("*.yaml")) if folder else []
+    if name_or_path not in known:
+        raise ConfigError(f"unknown profile {name_or_path!r}: there are {', '.join(known)}; or give the path of a YAML file")
+    return folder / f"{name_or_path}.yaml"

@@ -1,0 +1,29 @@
+"""The package's named errors: each message says what is wrong, where, and what to do about it."""
+
+
+class EmbodiedActiveLearningError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class ConfigError(EmbodiedActiveLearningError, ValueError):
+    """A configuration value, or the key that names it, cannot be used."""
+
+
+class WorldError(EmbodiedActiveLearningError, ValueError):
+    """A simulated world cannot be built from its file."""
+
+
+class SessionError(EmbodiedActiveLearningError):
+    """A session folder is in use, is not ours, or cannot be read."""
+
+
+class CorruptFileError(SessionError):
+    """A stored file is damaged, or was not written by this package."""
+
+
+class ObservationError(EmbodiedActiveLearningError, ValueError):
+    """An image or a state is not what the model was built for, and was not stored."""
+
+
+class CommandError(EmbodiedActiveLearningError, ValueError):
+    """A motion command was refused, and the arm stands still."""
