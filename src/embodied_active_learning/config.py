@@ -1,6 +1,7 @@
 """The whole configuration as frozen dataclasses: defaults (the paper's), units, legal values, and loading from YAML.
 
-Every value lives here once; profiles in config/*.yaml, the README's parameter table and the ROS parameters derive from it.
+Every value lives here once; the profiles in config/, the README's parameter table and the ROS parameters derive
+from it.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ class CameraConfig:
     height: int = setting(180, "image height", "px", 8, 4096)
     field_of_view: float = setting(30.0, "vertical field of view", "deg", 1.0, 150.0)
     distance: float = setting(0.3, "height of the camera above the table", "m", 0.05, 2.0)
-    max_age: float = setting(1.0, "wall time without a new image after which the planner says so and waits", "s", 0.05, 60.0)
+    max_age: float = setting(
+        1.0, "wall time without a new image after which the planner says so and waits", "s", 0.05, 60.0
+    )
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,9 @@ class ModelConfig:
     """The conditional variational autoencoder (paper, Table 2)."""
 
     latent_size: int = setting(16, "number of latent variables", "", 1, 1024)
-    hidden_sizes: Tuple[int, ...] = setting((512, 256), "encoder's fully connected layers; the decoder mirrors them", "", 1, 8192)
+    hidden_sizes: Tuple[int, ...] = setting(
+        (512, 256), "encoder's fully connected layers; the decoder mirrors them", "", 1, 8192
+    )
     channels: Tuple[int, ...] = setting((10, 10, 20), "filters of the convolutions", "", 1, 512)
     kernels: Tuple[int, ...] = setting((3, 3, 5), "kernel sizes of the convolutions", "px", 1, 31)
     strides: Tuple[int, ...] = setting((2, 2, 3), "strides of the convolutions", "px", 1, 31)
@@ -88,9 +93,13 @@ class ModelConfig:
 class ObjectiveConfig:
     """The loss and the schedule of its weights (paper, Eq. 17 and Alg. 1, line 13)."""
 
-    chi: float = setting(4.0, "scale of the latent regularisation: log10 beta = -log10(min h / max h) - chi", "", 0.0, 20.0)
+    chi: float = setting(
+        4.0, "scale of the latent regularisation: log10 beta = -log10(min h / max h) - chi", "", 0.0, 20.0
+    )
     beta_max: float = setting(0.01, "upper clamp of beta", "", 0.0, 1e6)
-    gamma_weight: float = setting(0.1, "gamma is this times the workspace coverage k; 0 switches the term off", "", 0.0, 100.0)
+    gamma_weight: float = setting(
+        0.1, "gamma is this times the workspace coverage k; 0 switches the term off", "", 0.0, 100.0
+    )
     schedule_every: int = setting(25, "updates between two evaluations of beta and gamma", "updates", 1, 100000)
     schedule_window: int = setting(25, "evaluations over which beta and gamma are averaged", "", 1, 100000)
 
@@ -104,11 +113,17 @@ class TrainingConfig:
     first_update_at: int = setting(64, "observations before learning starts", "", 1, 1000000)
     updates_per_observation: int = setting(3, "model updates for each observation", "", 0, 1000)
     max_lag: int = setting(
-        6, "updates that the trainer may be behind before the planner waits; 0 makes a run repeatable", "updates", 0, 1000000
+        6,
+        "updates that the trainer may be behind before the planner waits; 0 makes a run repeatable",
+        "updates",
+        0,
+        1000000,
     )
     device: str = setting("auto", "where the model lives", "", choices=("auto", "cpu", "cuda"))
     threads: int = setting(0, "CPU threads of the trainer; 0 takes every core", "", 0, 1024)
-    active_unit_threshold: float = setting(0.01, "variance of a latent mean above which the unit is active", "", 0.0, 100.0)
+    active_unit_threshold: float = setting(
+        0.01, "variance of a latent mean above which the unit is active", "", 0.0, 100.0
+    )
     evaluate_every: int = setting(150, "updates between two evaluations on a fixed subset", "updates", 1, 1000000)
     evaluation_size: int = setting(256, "observations of the fixed subset", "", 2, 65536)
     checkpoint_every: int = setting(600, "updates between two checkpoints", "updates", 1, 1000000)
@@ -125,9 +140,15 @@ class ExplorationConfig:
     step_duration: float = setting(0.2, "time between two observations", "s", 0.01, 10.0)
     samples: int = setting(1000, "workspace samples S", "", 10, 1000000)
     fresh_samples: int = setting(100, "samples drawn anew at each step", "", 0, 1000000)
-    sample_box: float = setting(1.0, "size of the box the samples are drawn in, in workspaces; the authors take 1.15", "", 1.0, 2.0)
+    sample_box: float = setting(
+        1.0, "size of the box the samples are drawn in, in workspaces; the authors take 1.15", "", 1.0, 2.0
+    )
     kernel_variance: float = setting(
-        0.0, "variance of the coverage kernel in normalised units; 0 takes the authors' rule, 0.0576 for S = 1000", "", 0.0, 4.0
+        0.0,
+        "variance of the coverage kernel in normalised units; 0 takes the authors' rule, 0.0576 for S = 1000",
+        "",
+        0.0,
+        4.0,
     )
     authors_coverage: bool = setting(
         False, "workspace coverage as the authors' controller has it: divided by its maximum, 1 outside the workspace"
@@ -143,14 +164,22 @@ class PlannerConfig:
     control_weight: float = setting(10.0, "weight R of the control in the adjoint update", "", 1e-6, 1e9)
     acceleration_limit: float = setting(1.0, "limit of the control, in velocity units per second", "", 1e-3, 100.0)
     velocity_limits: Tuple[float, ...] = setting(
-        (1.25, 1.25, 0.625), "velocity of each axis, in the controller's units, at the arm's highest speed", "", 1e-3, 100.0
+        (1.25, 1.25, 0.625),
+        "velocity of each axis, in the controller's units, at the arm's highest speed",
+        "",
+        1e-3,
+        100.0,
     )
     barrier_weight: float = setting(5.0, "weight of the barrier", "", 0.0, 1e6)
     barrier_power: float = setting(4.0, "power of the barrier", "", 1.0, 10.0)
     barrier_margin: float = setting(0.1, "distance from a limit at which the barrier begins, normalised", "", 0.0, 0.9)
     random_candidates: int = setting(8, "random two-segment plans compared at each step", "", 0, 1000)
-    normalise_kernels: bool = setting(True, "divide each kernel by its mass inside the workspace, so that parking in a corner costs")
-    measured_velocity_weight: float = setting(0.5, "how much of the velocity tracking error the plan takes over", "", 0.0, 1.0)
+    normalise_kernels: bool = setting(
+        True, "divide each kernel by its mass inside the workspace, so that parking in a corner costs"
+    )
+    measured_velocity_weight: float = setting(
+        0.5, "how much of the velocity tracking error the plan takes over", "", 0.0, 1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -192,19 +221,38 @@ class Config:
         if len(self.simulation.start) != box.size or not box.contains(self.simulation.start):
             raise ConfigError(f"simulation/start {list(self.simulation.start)} lies outside the workspace")
         if len(self.planner.velocity_limits) != box.size:
-            raise ConfigError(f"planner/velocity_limits needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}")
+            raise ConfigError(
+                f"planner/velocity_limits needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"
+            )
         if self.exploration.step_duration > self.arm.max_duration:
-            raise ConfigError("exploration/step_duration is longer than arm/max_duration: the arm would refuse each command")
+            raise ConfigError(
+                "exploration/step_duration is longer than arm/max_duration: the arm would refuse each command"
+            )
         if self.exploration.fresh_samples > self.exploration.samples:
             raise ConfigError("exploration/fresh_samples is larger than exploration/samples")
         if self.training.batch_size > self.training.first_update_at:
-            raise ConfigError("training/batch_size is larger than training/first_update_at: the first batch could not be filled")
+            raise ConfigError(
+                "training/batch_size is larger than training/first_update_at: the first batch could not be filled"
+            )
         layers = {len(self.model.channels), len(self.model.kernels), len(self.model.strides)}
         if len(layers) != 1:
-            raise ConfigError("model/channels, model/kernels and model/strides differ in length: give one number a convolution")
+            raise ConfigError(
+                "model/channels, model/kernels and model/strides differ in length: give one number a convolution"
+            )
+
+    @property
+    def updates_planned(self) -> int:
+        """Model updates of the whole run."""
+        return self.training.updates_per_observation * self.exploration.steps
+
+    def updates_due(self, observations: int) -> int:
+        """Model updates that so many observations call for: none before learning starts, all when exploring is over."""
+        if observations >= self.exploration.steps:
+            return self.updates_planned
+        return self.training.updates_per_observation * max(0, observations - self.training.first_update_at)
 
     @classmethod
-    def from_dict(cls, values: Dict[str, Any]) -> "Config":
+    def from_dict(cls, values: Dict[str, Any]) -> Config:
         """Sections of keys -> Config. Raises ConfigError naming the key, the value and what is legal."""
         if not isinstance(values, dict):
             raise ConfigError(f"the configuration is {type(values).__name__}, not sections of keys")
@@ -301,8 +349,11 @@ def _check_text(key: str, item: dataclasses.Field, value: Any) -> str:
 
 def _check_number(key: str, item: dataclasses.Field, value: Any, kind: type) -> Any:
     whole = kind is int
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or (
-        whole and value != int(value)
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, float))
+        or not math.isfinite(value)
+        or (whole and value != int(value))
     ):
         raise ConfigError(f"{key} is {value!r}: give a {'whole ' if whole else ''}number")
     low, high = item.metadata["low"], item.metadata["high"]
@@ -319,5 +370,7 @@ def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:
         return path
     known = sorted(candidate.stem for candidate in folder.glob("*.yaml")) if folder else []
     if name_or_path not in known:
-        raise ConfigError(f"unknown profile {name_or_path!r}: there are {', '.join(known)}; or give the path of a YAML file")
+        raise ConfigError(
+            f"unknown profile {name_or_path!r}: there are {', '.join(known)}; or give the path of a YAML file"
+        )
     return folder / f"{name_or_path}.yaml"

@@ -49,7 +49,10 @@ class Workspace:
         return np.asarray(states, dtype=np.float64) * self.scale + self.centre
 
     def contains(self, states: np.ndarray, tolerance: float = 0.0) -> np.ndarray:
-        """Whether SI states (..., D) lie in the box, widened by tolerance (normalised units). -> (...) bool; NaN is outside."""
+        """Whether SI states (..., D) lie in the box, widened by tolerance (normalised units) -> (...).
+
+        NaN is outside.
+        """
         return np.all(np.abs(self.normalise(states)) <= 1.0 + tolerance, axis=-1)
 
     def clip(self, states: np.ndarray) -> np.ndarray:

@@ -1,0 +1,44 @@
+# make         install what is missing, build
+# make demo    learn one world in PyBullet, headless, with the demo profile
+# make test    build, lint, unit tests, node tests
+.PHONY: all install build demo test lint format readme clean
+
+SHELL := /bin/bash
+VENV := .venv
+LAUNCH_FILES := $(wildcard launch/*.launch)
+INTERFACES := $(wildcard msg/*.msg srv/*.srv)
+
+all: build
+
+install: $(VENV)/installed
+
+$(VENV)/installed: requirements.txt tools/install.sh tools/debian-packages.txt tools/noetic-packages.txt
+	tools/install.sh
+
+build: build/built
+
+# Only what catkin turns into other files makes a new build necessary: the devel space points into the sources.
+build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(INTERFACES)
+	tools/build.sh
+	touch $@
+
+demo: build
+	tools/demo.sh $(DEMO_ARGS)
+
+test: build lint
+	tools/test.sh $(PYTEST_ARGS)
+
+lint: build
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	ROS_DISTRO=noetic ROS_PACKAGE_PATH=$(CURDIR):/usr/share:/opt/ros/noetic/share catkin_lint --offline -W2 --strict .
+
+format: install
+	$(VENV)/bin/ruff check --fix .
+	$(VENV)/bin/ruff format .
+
+readme: build
+	source ./setup.bash && python3 tools/parameter_table.py README.md
+
+clean:
+	rm -rf build

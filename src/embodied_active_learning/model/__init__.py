@@ -1,0 +1,1 @@
+"""The conditional variational autoencoder, its objective, and the learner that trains it online."""

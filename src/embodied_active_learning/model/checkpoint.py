@@ -1,0 +1,52 @@
+"""Network and optimiser as one flat dictionary of tensors, and back."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Iterable, Mapping
+
+import torch
+
+from embodied_active_learning.errors import ConfigError, CorruptFileError
+from embodied_active_learning.model.cvae import ConditionalVAE
+
+MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+def pack(network: ConditionalVAE, optimiser: torch.optim.Adam) -> Dict[str, torch.Tensor]:
+    """Copies of the weights ("network/..."), Adam's moments ("adam/<moment>/...") and its step count, on the CPU."""
+    tensors = {"adam/step": torch.zeros(())}
+    for name, parameter in network.named_parameters():
+        tensors[f"network/{name}"] = _copy(parameter)
+        moments = optimiser.state.get(parameter, {})
+        for moment in MOMENTS:
+            tensors[f"adam/{moment}/{name}"] = _copy(moments.get(moment, torch.zeros_like(parameter)))
+        tensors["adam/step"] = _copy(moments.get("step", tensors["adam/step"]))
+    return tensors
+
+
+def unpack(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE, optimiser: torch.optim.Adam) -> None:
+    """Put packed tensors back. Raises ConfigError naming a tensor of another shape, CorruptFileError a missing one."""
+    expected = pack(network, optimiser)
+    require(tensors, expected)
+    for key, tensor in expected.items():
+        if tensors[key].shape != tensor.shape:
+            raise ConfigError(
+                f"checkpoint holds {key} as {tuple(tensors[key].shape)}, this configuration makes it"
+                f" {tuple(tensor.shape)}: use the configuration that the session was recorded with"
+            )
+    names = [name for name, _ in network.named_parameters()]
+    network.load_state_dict({name: tensors[f"network/{name}"] for name in names})
+    moments = [{moment: tensors[f"adam/{moment}/{name}"].clone() for moment in MOMENTS} for name in names]
+    state = {index: {"step": tensors["adam/step"].clone(), **pair} for index, pair in enumerate(moments)}
+    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+
+
+def require(found: Mapping[str, Any], keys: Iterable[str]) -> None:
+    """Raise CorruptFileError naming the first key that is not found."""
+    for key in keys:
+        if key not in found:
+            raise CorruptFileError(f"checkpoint lacks {key}: it is damaged or was not written by this package")
+
+
+def _copy(tensor: torch.Tensor) -> torch.Tensor:
+    return tensor.detach().to("cpu", copy=True).contiguous()

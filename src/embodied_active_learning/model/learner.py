@@ -1,0 +1,227 @@
+"""The learner: one network, its optimiser and its schedule, trained online on a growing store of observations."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, Tuple
+
+import numpy as np
+import torch
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
+from embodied_active_learning.exploration.coverage import workspace_coverage
+from embodied_active_learning.exploration.kernel import CoverageKernel
+from embodied_active_learning.model import checkpoint
+from embodied_active_learning.model.cvae import ConditionalVAE, initialise
+from embodied_active_learning.model.measures import Evaluation, active_units, evaluate_model
+from embodied_active_learning.model.objective import Loss, plain_loss
+from embodied_active_learning.model.observations import BatchReader, Observations
+from embodied_active_learning.model.schedule import Schedule
+from embodied_active_learning.model.snapshot import Snapshot
+
+ATTEMPTS = 5  # batches tried for one update before a loss that is not finite counts as divergence
+
+
+class DivergenceError(EmbodiedActiveLearningError):
+    """The loss or its gradient stayed non-finite for several batches in a row."""
+
+
+@dataclass(frozen=True)
+class UpdateReport:
+    """One update: the loss with its terms, the weights it used, and what the minibatch's latents look like.
+
+    log_std_min, log_std_max and coverage are of the latest evaluation of the schedule; seconds is wall time.
+    """
+
+    update: int
+    observations: int
+    loss: float
+    reconstruction: float
+    conditional_reconstruction: float
+    kl: float
+    beta: float
+    gamma: float
+    coverage: float
+    active_units: int
+    log_std_min: float
+    log_std_max: float
+    seconds: float
+
+
+class Learner:
+    """Trains the network (paper, Alg. 1, lines 12-14). Draws only from its own generators, seeded from the seed.
+
+    One thread may call its methods; `snapshot` may be asked from any thread.
+    """
+
+    def __init__(self, config: Config, observations: Observations, seed: int) -> None:
+        """Build the network and the optimiser. Raises ConfigError for a device that is not there."""
+        self._config = config
+        self._observations = observations
+        self._seed = seed
+        self._device = choose_device(config.training.device)
+        weights_seed, batches_seed = np.random.SeedSequence([seed, 201]).spawn(2)
+        self._random = np.random.default_rng(batches_seed)
+        self.network = _build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
+        self._optimiser = _build_optimiser(self.network, config.training.learning_rate)
+        self._loss = plain_loss
+        self._reader = BatchReader(observations, self._device)
+        self._variance = CoverageKernel.from_config(config).variance
+        self.schedule = Schedule(config.objective)
+        self.updates = 0
+        self.skipped = 0
+        self.snapshot = Snapshot(self.network)
+
+    def due(self) -> int:
+        """Updates that should have been made by now, given the observations there are."""
+        training, steps = self._config.training, self._config.exploration.steps
+        count = len(self._observations)
+        if count < training.first_update_at:
+            return 0
+        if count >= steps:
+            return training.updates_per_observation * steps
+        return training.updates_per_observation * (count - training.first_update_at)
+
+    def update(self) -> UpdateReport:
+        """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients."""
+        start = time.perf_counter()
+        if self.updates % self._config.objective.schedule_every == 0:
+            self._evaluate_schedule()
+        beta, gamma = self.schedule.beta, self.schedule.gamma
+        count = len(self._observations)
+        loss = self._attempt(count, beta, gamma)
+        self.updates += 1
+        return UpdateReport(
+            update=self.updates,
+            observations=count,
+            loss=float(loss.total),
+            reconstruction=float(loss.reconstruction),
+            conditional_reconstruction=float(loss.conditional_reconstruction),
+            kl=float(loss.kl),
+            beta=beta,
+            gamma=gamma,
+            coverage=self.schedule.coverage,
+            active_units=active_units(loss.latent_means, self._config.training.active_unit_threshold),
+            log_std_min=self.schedule.log_std_min,
+            log_std_max=self.schedule.log_std_max,
+            seconds=time.perf_counter() - start,
+        )
+
+    def evaluate(self) -> Evaluation:
+        """The model on a fixed subset of the observations, and over the workspace with the newest one's latent.
+
+        The subset is the same at every call once all observations are there; before, it is a uniform draw of those
+        that are. Draws nothing from the training's generator, so that looking does not change the run.
+        """
+        subset = self._reader.read(self._evaluation_indices())
+        random = np.random.default_rng(np.random.SeedSequence([self._seed, 202]))
+        with torch.inference_mode():
+            log_std = self._log_std_over(self._workspace_states(random))
+            measured = evaluate_model(self.network, subset, self._config.training.active_unit_threshold)
+        return Evaluation(
+            update=self.updates,
+            observations=len(self._observations),
+            log_std_min=float(log_std.min()),
+            log_std_max=float(log_std.max()),
+            **measured,
+        )
+
+    def refresh(self, wait: bool = False) -> bool:
+        """Bring the snapshot up to date. False, at once, if a reader is busy with it and wait is not set."""
+        return self.snapshot.copy_from(self.network, self.updates, wait)
+
+    def state(self) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
+        """Copies of all that a continued run needs: tensors on the CPU, and plain numbers that JSON can hold."""
+        counters = {
+            "updates": self.updates,
+            "skipped": self.skipped,
+            "schedule": self.schedule.state_dict(),
+            "generator": self._random.bit_generator.state,
+        }
+        return checkpoint.pack(self.network, self._optimiser), counters
+
+    def restore(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
+        """Go on from state(), as if there had been no interruption. Raises ConfigError if it is of another model."""
+        checkpoint.unpack(tensors, self.network, self._optimiser)
+        checkpoint.require(counters, ("updates", "skipped", "schedule", "generator"))
+        self.updates = int(counters["updates"])
+        self.skipped = int(counters["skipped"])
+        self.schedule.load_state_dict(counters["schedule"])
+        self._random.bit_generator.state = counters["generator"]
+        self.refresh(wait=True)
+
+    def _attempt(self, count: int, beta: float, gamma: float) -> Loss:
+        for _ in range(ATTEMPTS):
+            loss = self._gradients(count, beta, gamma)
+            if _all_finite(loss, self.network):
+                self._optimiser.step()
+                return loss
+            self.skipped += 1
+        raise DivergenceError(
+            f"loss or gradient was not finite for {ATTEMPTS} batches in a row at update {self.updates + 1}:"
+            " go back to the last checkpoint, and lower training/learning_rate if it happens again"
+        )
+
+    def _gradients(self, count: int, beta: float, gamma: float) -> Loss:
+        size = self._config.training.batch_size
+        halves = [self._random.choice(count, size, replace=False) for _ in range(2)]
+        noise = self._random.standard_normal((size, self.network.latent_size), dtype=np.float32)
+        pair = self._reader.read(np.concatenate(halves))
+        self._optimiser.zero_grad(set_to_none=True)
+        loss = self._loss(self.network, pair, torch.from_numpy(noise).to(self._device), beta, gamma)
+        loss.total.backward()
+        return Loss(*(term.detach() for term in loss))
+
+    def _evaluate_schedule(self) -> None:
+        states = self._workspace_states(self._random)
+        with torch.inference_mode():
+            log_std = self._log_std_over(states)
+        visited = self._observations.states[: len(self._observations)]
+        self.schedule.evaluate(log_std, workspace_coverage(states, visited, self._variance))
+
+    def _workspace_states(self, random: np.random.Generator) -> np.ndarray:
+        return random.uniform(-1.0, 1.0, (self._config.exploration.samples, self.network.state_size))
+
+    def _log_std_over(self, states: np.ndarray) -> np.ndarray:
+        """Log std (S,) at states (S, D), given the newest observation."""
+        latent = self.network.encode(*self._reader.newest()).mean
+        points = torch.from_numpy(states.astype(np.float32)).to(self._device)
+        return self.network.log_std(latent, points).cpu().numpy()
+
+    def _evaluation_indices(self) -> np.ndarray:
+        random = np.random.default_rng(np.random.SeedSequence([self._seed, 203]))
+        order = random.permutation(max(self._config.exploration.steps, len(self._observations)))
+        return order[order < len(self._observations)][: self._config.training.evaluation_size]
+
+
+def choose_device(name: str) -> torch.device:
+    """auto | cpu | cuda -> the device. Raises ConfigError for cuda where there is none."""
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise ConfigError("training/device is 'cuda' but torch sees no CUDA device here: use auto or cpu")
+    return torch.device("cuda" if available and name != "cpu" else "cpu")
+
+
+def _build_network(config: Config, seed: int) -> ConditionalVAE:
+    # Made without memory first: the layers' own initialisation would draw from torch's global generator.
+    with torch.device("meta"):
+        image_size = (config.camera.height, config.camera.width)
+        network = ConditionalVAE(image_size, config.workspace.box().size, config.model)
+    network = network.to_empty(device="cpu")
+    initialise(network, torch.Generator().manual_seed(seed))
+    return network
+
+
+def _build_optimiser(network: ConditionalVAE, learning_rate: float) -> torch.optim.Adam:
+    try:
+        return torch.optim.Adam(network.parameters(), learning_rate, fused=True)
+    except RuntimeError:  # a torch without fused kernels for this device
+        return torch.optim.Adam(network.parameters(), learning_rate)
+
+
+def _all_finite(loss: Loss, network: ConditionalVAE) -> bool:
+    # A sum is finite only if all its parts are: one pass over the gradients, no copies.
+    sums = [parameter.grad.sum() for parameter in network.parameters()]
+    return bool(torch.stack([loss.total, *sums]).isfinite().all())

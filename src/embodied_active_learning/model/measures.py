@@ -1,0 +1,63 @@
+"""What the training is judged by: active units, reconstruction with and without the right latent, range of the log std."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict
+
+import torch
+
+from embodied_active_learning.model.cvae import ConditionalVAE, float_images
+from embodied_active_learning.model.objective import Batch
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The model on a fixed subset of the observations. Errors are mean squared errors of pixels in [0, 1].
+
+    mse_own: each image from its own latent; mse_shuffled: from another's; mse_without: from the prior's mean, z = 0.
+    """
+
+    update: int
+    observations: int
+    active_units: int
+    mse_own: float
+    mse_shuffled: float
+    mse_without: float
+    log_std_min: float
+    log_std_max: float
+
+
+def active_units(latent_means: torch.Tensor, threshold: float) -> int:
+    """Number of latents whose mean varies over the batch by more than the threshold (paper, Eq. 18). latent_means: (B, L).
+
+    The variance is the unbiased one.
+    """
+    return int((latent_means.var(dim=0, unbiased=True) > threshold).sum())
+
+
+def latent_means(network: ConditionalVAE, subset: Batch, chunk: int = 64) -> torch.Tensor:
+    """Mean latent of each observation of the subset. -> (N, L)."""
+    pairs = zip(subset.states.split(chunk), subset.images.split(chunk))
+    return torch.cat([network.encode(states, images).mean for states, images in pairs])
+
+
+def reconstruction_error(network: ConditionalVAE, latents: torch.Tensor, subset: Batch, chunk: int = 64) -> float:
+    """Mean squared error of the subset's images decoded from latents (N, L) at the subset's states."""
+    total = 0.0
+    for index in torch.arange(len(latents)).split(chunk):
+        means, _ = network.decode(latents[index], subset.states[index])
+        images = float_images(subset.images[index], means.dtype)
+        total += float((images - means).square().mean()) * len(index)
+    return total / len(latents)
+
+
+def evaluate_model(network: ConditionalVAE, subset: Batch, threshold: float) -> Dict[str, float]:
+    """Active units and the three reconstruction errors of an Evaluation, by its field names."""
+    latents = latent_means(network, subset)
+    return {
+        "active_units": active_units(latents, threshold),
+        "mse_own": reconstruction_error(network, latents, subset),
+        "mse_shuffled": reconstruction_error(network, latents.roll(1, dims=0), subset),
+        "mse_without": reconstruction_error(network, torch.zeros_like(latents), subset),
+    }

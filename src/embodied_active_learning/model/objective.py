@@ -1,0 +1,73 @@
+"""The loss that the network is trained on, written plainly: the reference for every faster way to compute it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+
+from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian, float_images
+
+HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+
+
+class Batch(NamedTuple):
+    """A mini-batch of observations: states (B, D) normalised float, images (B, H, W, 3) uint8."""
+
+    states: torch.Tensor
+    images: torch.Tensor
+
+
+class Loss(NamedTuple):
+    """The loss, its terms (scalars, before weighting) and the latent means (B, L) they were computed with."""
+
+    total: torch.Tensor
+    reconstruction: torch.Tensor
+    conditional_reconstruction: torch.Tensor
+    kl: torch.Tensor
+    latent_means: torch.Tensor
+
+
+def negative_log_likelihood(images: torch.Tensor, means: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
+    """-log N(y; mean, std^2) averaged over batch, channels and pixels: a scalar.
+
+    mean of (y - mean)^2 / (2 std^2) + log std + log(2 pi) / 2. images, means: (B, 3, H, W), log_std: (B,).
+    """
+    squared_error = (images - means).square().mean(dim=(1, 2, 3))
+    return (0.5 * squared_error * torch.exp(-2.0 * log_std) + log_std).mean() + HALF_LOG_TWO_PI
+
+
+def kl_divergence(latent: LatentGaussian) -> torch.Tensor:
+    """KL(q(z | x, y) || N(0, I)), summed over latents, averaged over the batch: a scalar.
+
+    -1/2 sum_l (1 + log_variance_l - mean_l^2 - variance_l).
+    """
+    terms = 1.0 + latent.log_variance - latent.mean.square() - latent.log_variance.exp()
+    return -0.5 * terms.sum(dim=1).mean()
+
+
+def weigh(
+    reconstruction: torch.Tensor, conditional: torch.Tensor, latent: LatentGaussian, beta: float, gamma: float
+) -> Loss:
+    """L = RC + beta KL + gamma RC_cond, to be minimised (paper, Eq. 17 with its sign turned)."""
+    kl = kl_divergence(latent)
+    total = reconstruction + beta * kl + gamma * conditional
+    return Loss(total, reconstruction, conditional, kl, latent.mean)
+
+
+def plain_loss(network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: float, gamma: float) -> Loss:
+    """The loss of a batch (first B rows of the pair) and a second, independent one (last B rows), paired by position.
+
+    noise: (B, L) standard normal. The conditional term decodes the same z_i, encoded from (x_i, y_i), at the other
+    batch's state and compares it with the other batch's image: what the decoder should say where it cannot know
+    (paper, Eq. 17, hatted quantities).
+    """
+    size = len(noise)
+    latent = network.encode(pair.states[:size], pair.images[:size])
+    sample = latent.mean + latent.std * noise
+    terms = []
+    for half in (slice(None, size), slice(size, None)):
+        means, log_std = network.decode(sample, pair.states[half])
+        terms.append(negative_log_likelihood(float_images(pair.images[half], means.dtype), means, log_std))
+    return weigh(terms[0], terms[1], latent, beta, gamma)

@@ -1,0 +1,82 @@
+"""The weights beta and gamma of the loss, from how well the model tells states apart and how much has been seen."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import deque
+from typing import Deque, Dict, List, Tuple
+
+import numpy as np
+
+from embodied_active_learning.config import ObjectiveConfig
+
+
+def beta_from_log_std(log_std: np.ndarray, coverage: float, chi: float, beta_max: float) -> float:
+    """Weight of the latent regularisation (paper, Alg. 1, line 13): log10 beta = -log10 min(h / max h) - chi, clamped.
+
+    log_std: (S,) of the decoder at workspace samples; h = std^k (paper, Eq. 16; per-pixel entropy), k: coverage in [0, 1].
+    """
+    spread = coverage * float(np.max(log_std) - np.min(log_std))
+    exponent = min(spread / math.log(10.0) - chi, sys.float_info.max_10_exp)
+    return min(10.0**exponent, beta_max)
+
+
+def gamma_from_coverage(coverage: float, weight: float) -> float:
+    """Weight of the conditional reconstruction (paper, Alg. 1, line 13): weight * k."""
+    return weight * coverage
+
+
+class Schedule:
+    """beta and gamma as means over the last evaluations, so that one odd sample does not jolt the training."""
+
+    def __init__(self, config: ObjectiveConfig) -> None:
+        self._config = config
+        self._window: Deque[Tuple[float, float]] = deque(maxlen=config.schedule_window)
+        self.coverage = 0.0
+        self.log_std_min = 0.0
+        self.log_std_max = 0.0
+        self.rejected = 0
+
+    @property
+    def beta(self) -> float:
+        """Mean over the window; before the first evaluation the smallest value there is, 10^-chi."""
+        if not self._window:
+            return beta_from_log_std(np.zeros(1), 0.0, self._config.chi, self._config.beta_max)
+        return sum(beta for beta, _ in self._window) / len(self._window)
+
+    @property
+    def gamma(self) -> float:
+        """Mean over the window; 0 before the first evaluation."""
+        return sum(gamma for _, gamma in self._window) / max(len(self._window), 1)
+
+    def evaluate(self, log_std: np.ndarray, coverage: float) -> bool:
+        """Take in the log std at workspace samples (S,) and the coverage k. Non-finite input is counted and ignored."""
+        if not (math.isfinite(coverage) and np.all(np.isfinite(log_std))):
+            self.rejected += 1
+            return False
+        config = self._config
+        beta = beta_from_log_std(log_std, coverage, config.chi, config.beta_max)
+        self._window.append((beta, gamma_from_coverage(coverage, config.gamma_weight)))
+        self.coverage = float(coverage)
+        self.log_std_min, self.log_std_max = float(np.min(log_std)), float(np.max(log_std))
+        return True
+
+    def state_dict(self) -> Dict[str, object]:
+        """Everything that a continued run needs, as plain numbers and lists."""
+        window: List[List[float]] = [list(entry) for entry in self._window]
+        return {
+            "window": window,
+            "coverage": self.coverage,
+            "log_std_min": self.log_std_min,
+            "log_std_max": self.log_std_max,
+            "rejected": self.rejected,
+        }
+
+    def load_state_dict(self, state: Dict[str, object]) -> None:
+        """Go on from state_dict()."""
+        self._window.clear()
+        self._window.extend((float(beta), float(gamma)) for beta, gamma in state["window"])
+        self.coverage = float(state["coverage"])
+        self.log_std_min, self.log_std_max = float(state["log_std_min"]), float(state["log_std_max"])
+        self.rejected = int(state["rejected"])

@@ -1,0 +1,1 @@
+"""What the nodes share to talk ROS: the only part of the library that imports rospy."""

@@ -1,0 +1,57 @@
+"""One commander of the arm at a time, known by the name of its node."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import contextmanager
+from typing import Any, Callable, Iterator
+
+from embodied_active_learning.errors import CommandError
+
+
+class Commander:
+    """Keeps the arm to the node that drives it, until that node has been silent for a while (wall seconds).
+
+    Stopping is open to everyone and takes no lease.
+    """
+
+    def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._timeout = timeout
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._holder = ""
+        self._expires = 0.0
+        self._busy = False
+
+    @contextmanager
+    def command(self, request: Any) -> Iterator[None]:
+        """The time of one command. Raises CommandError naming the node that has the arm."""
+        caller = request._connection_header.get("callerid", "an unnamed node")
+        self._take(caller)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._busy = False
+                self._expires = self._clock() + self._timeout
+
+    @property
+    def holder(self) -> str:
+        """Name of the node that has the arm; empty when it is free."""
+        with self._lock:
+            return self._holder if self._is_held() else ""
+
+    def _take(self, caller: str) -> None:
+        with self._lock:
+            if self._busy:
+                raise CommandError(f"the arm is carrying out a command of {self._holder}")
+            if self._is_held() and caller != self._holder:
+                raise CommandError(
+                    f"the arm is driven by {self._holder}: stop that node, or try again {self._timeout:g} s after its "
+                    "last command"
+                )
+            self._holder, self._busy = caller, True
+
+    def _is_held(self) -> bool:
+        return self._busy or (bool(self._holder) and self._clock() < self._expires)

@@ -1,0 +1,34 @@
+"""Names of topics, services and frames, each in this one place; relative, so that a system can live in a namespace."""
+
+ARM_MOVE = "arm/move"
+ARM_GO_TO = "arm/go_to"
+ARM_STOP = "arm/stop"
+ARM_RECOVER = "arm/recover"
+ARM_STATE = "arm/state"
+JOINT_STATES = "joint_states"
+
+CAMERA_IMAGE = "camera/image_raw"
+CAMERA_INFO = "camera/camera_info"
+
+TRAINER_OBSERVE = "trainer/observe"
+TRAINER_ENTROPY = "trainer/entropy"
+TRAINER_ENCODE = "trainer/encode"
+TRAINER_SAVE = "trainer/save"
+TRAINER_TRAJECTORY = "trainer/trajectory"
+TRAINING_STATUS = "training_status"
+
+PLANNER_PAUSE = "planner/pause"
+PLANNER_RESUME = "planner/resume"
+OBSERVATION = "observation"
+TARGET_DISTRIBUTION = "target_distribution"
+
+TRAVELLED_PATH = "travelled_path"
+PLANNED_PATH = "planned_path"
+TARGET_CLOUD = "target_cloud"
+TIME_AVERAGE_CLOUD = "time_average_cloud"
+WORKSPACE_MARKER = "workspace"
+
+CONFIG_PARAMETER = "config"
+
+BASE_FRAME = "panda_link0"
+CAMERA_FRAME = "camera_optical_frame"

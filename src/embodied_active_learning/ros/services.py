@@ -1,0 +1,71 @@
+"""Calling and offering services: patient calls that say whom they wait for, and handlers that answer errors by name."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Callable
+
+import rospy
+
+from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.ros.node import REPEAT_AFTER, ShutdownRequestedError
+
+
+class PatientService:
+    """A persistent connection to a service whose server may come late, restart or hang.
+
+    A call that the server did not answer is made again, so the service must bear being asked twice.
+    """
+
+    def __init__(self, name: str, service_class: Any) -> None:
+        self._name = rospy.resolve_name(name)
+        self._service_class = service_class
+        self._proxy: Any = None
+        self._lock = threading.Lock()
+
+    def call(self, request: Any) -> Any:
+        """The server's answer, however long it takes. Raises ShutdownRequestedError when the node ends first."""
+        answered = threading.Event()
+        threading.Thread(target=self._say_waiting, args=(answered,), daemon=True).start()
+        try:
+            with self._lock:
+                return self._call(request)
+        finally:
+            answered.set()
+
+    def _call(self, request: Any) -> Any:
+        while not rospy.is_shutdown():
+            try:
+                if self._proxy is None:
+                    rospy.wait_for_service(self._name, timeout=1.0)
+                    self._proxy = rospy.ServiceProxy(self._name, self._service_class, persistent=True)
+                return self._proxy(request)
+            except (rospy.ServiceException, rospy.ROSException) as error:
+                rospy.logdebug("%s: %s", self._name, error)
+                self._drop_connection()
+                time.sleep(0.1)
+        raise ShutdownRequestedError
+
+    def _drop_connection(self) -> None:
+        if self._proxy is not None:
+            self._proxy.close()
+            self._proxy = None
+
+    def _say_waiting(self, answered: threading.Event) -> None:
+        started = time.monotonic()
+        while not answered.wait(REPEAT_AFTER) and not rospy.is_shutdown():
+            rospy.loginfo("waiting for %s to answer, for %.0f s now", self._name, time.monotonic() - started)
+
+
+def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) -> rospy.Service:
+    """Offer a service whose handler's named errors become answers with success false and the error's message."""
+
+    def answer(request: Any) -> Any:
+        try:
+            return handler(request)
+        except EmbodiedActiveLearningError as error:
+            rospy.logwarn("%s refused: %s", name, error)
+            return service_class._response_class(success=False, message=str(error))
+
+    return rospy.Service(name, service_class, answer)

@@ -1,0 +1,205 @@
+"""The observations of a run: an append-only file of checksummed records, and the same in memory for the learner.
+
+An observation is acknowledged only when it is on the disk. A process killed at any byte leaves at most one torn record at
+the end of the file, which was never acknowledged and is cut off when the store is opened for writing.
+"""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import NamedTuple, Sequence, Tuple
+
+import numpy as np
+
+from embodied_active_learning.errors import CorruptFileError, ObservationError, SessionError
+from embodied_active_learning.session.atomic import sync_folder
+from embodied_active_learning.session.record_file import RecordFile
+from embodied_active_learning.session.records import RecordLayout
+from embodied_active_learning.workspace import Workspace
+
+LAYOUT_FILE = "format.json"
+DATA_FILE = "observations.bin"
+_FIRST_CAPACITY = 64
+
+
+class Observations(NamedTuple):
+    """N observations as arrays of one length."""
+
+    states: np.ndarray  # (N, D) float32, normalised
+    raw_states: np.ndarray  # (N, D) float64, SI units
+    images: np.ndarray  # (N, H, W, 3) uint8, red first
+    stamps: np.ndarray  # (N,) float64, seconds
+
+
+class ObservationStore:
+    """Observations on disk and in memory: one writing process, any number of reading threads and processes."""
+
+    def __init__(
+        self, folder: Path, layout: RecordLayout, workspace: Workspace, writable: bool, capacity: int = 0
+    ) -> None:
+        if len(layout.state_names) != workspace.size:
+            raise CorruptFileError(
+                f"{folder / LAYOUT_FILE}: state_names are {list(layout.state_names)}, but the workspace has "
+                f"{workspace.size} dimensions: choose another session"
+            )
+        self.layout = layout
+        self._workspace = workspace
+        self._writable = writable
+        self._appending = threading.Lock()
+        self._count = 0
+        self._arrays = _allocate(layout, max(capacity, _FIRST_CAPACITY))
+        self._file = RecordFile(folder / DATA_FILE, layout, writable)
+        try:
+            self._load()
+        except BaseException:
+            self._file.close()
+            raise
+
+    @classmethod
+    def open_for_writing(
+        cls, folder: Path, workspace: Workspace, image_shape: Sequence[int], capacity: int = 0
+    ) -> "ObservationStore":
+        """Create the store or go on with it; capacity is how many observations are expected.
+
+        Raises CorruptFileError for a damaged store, SessionError when another process writes it, ObservationError when it
+        holds images of another shape.
+        """
+        layout = _own_layout(Path(folder), tuple(image_shape))
+        return cls(Path(folder), layout, workspace, writable=True, capacity=capacity)
+
+    @classmethod
+    def open_read_only(cls, folder: Path, workspace: Workspace) -> "ObservationStore":
+        """What is stored at this moment. Never writes, so a running session can be looked at.
+
+        Raises CorruptFileError for a damaged store, SessionError when there is none.
+        """
+        folder = Path(folder)
+        if not (folder / DATA_FILE).is_file():
+            raise SessionError(f"{folder} holds no observations yet: start the exploration")
+        return cls(folder, RecordLayout.load(folder / LAYOUT_FILE), workspace, writable=False)
+
+    def append(self, index: int, stamp: float, state: Sequence[float], image: np.ndarray) -> bool:
+        """Store observation number `index`: stamp in seconds, state (D,) in SI units, image (H, W, 3) uint8.
+
+        Returns when it is on the disk: True when it was new, False when the same one had been stored before.
+        Raises ObservationError when it can't be stored under that number, SessionError when the disk fails.
+        """
+        if not self._writable:
+            raise SessionError(f"{self._file.path} is open for reading only: open the session for writing")
+        state = np.asarray(state, dtype=np.float64)
+        self._check(stamp, state, image)
+        with self._appending:
+            if index != self._count:
+                self._check_repeated(index, stamp, state, image)
+                return False
+            self._file.write(index, self.layout.pack(index, stamp, state, image))
+            self._remember(stamp, state, image)
+        return True
+
+    def snapshot(self) -> Observations:
+        """All arrays at one length. They stay as they are while more is appended."""
+        count = self._count  # first: the arrays are never shorter than a count that was seen
+        return Observations(*(array[:count] for array in self._arrays))
+
+    @property
+    def states(self) -> np.ndarray:
+        """(N, D) float32, normalised states."""
+        return self.snapshot().states
+
+    @property
+    def raw_states(self) -> np.ndarray:
+        """(N, D) float64, states in SI units."""
+        return self.snapshot().raw_states
+
+    @property
+    def images(self) -> np.ndarray:
+        """(N, H, W, 3) uint8 images, red first."""
+        return self.snapshot().images
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """(N,) float64, times in seconds."""
+        return self.snapshot().stamps
+
+    def __len__(self) -> int:
+        return self._count
+
+    def close(self) -> None:
+        """Close the file and give its lock back; the arrays stay."""
+        with self._appending:
+            self._writable = False
+            self._file.close()
+
+    def __enter__(self) -> "ObservationStore":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _load(self) -> None:
+        for record in self._file.read():
+            self._remember(float(record["stamp"]), record["state"], record["image"])
+        if self._writable:
+            self._file.cut_after(self._count)
+
+    def _remember(self, stamp: float, state: np.ndarray, image: np.ndarray) -> None:
+        if self._count == len(self._arrays.stamps):
+            larger = _allocate(self.layout, 2 * self._count)
+            for new, old in zip(larger, self._arrays):
+                new[: self._count] = old
+            self._arrays = larger
+        self._arrays.states[self._count] = self._workspace.normalise(state)
+        self._arrays.raw_states[self._count] = state
+        self._arrays.images[self._count] = image
+        self._arrays.stamps[self._count] = stamp
+        self._count += 1  # last: a reading thread takes what the count covers
+
+    def _check(self, stamp: float, state: np.ndarray, image: np.ndarray) -> None:
+        shape = self.layout.image_shape
+        if not isinstance(image, np.ndarray) or image.shape != shape or image.dtype != np.uint8:
+            found = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise ObservationError(f"image is {found}, expected uint8 {shape}: check camera/height and camera/width")
+        names = self.layout.state_names
+        if state.shape != (len(names),):
+            raise ObservationError(f"state has shape {state.shape}, expected ({len(names)},): give {', '.join(names)}")
+        if not (np.all(np.isfinite(state)) and np.isfinite(stamp)):
+            raise ObservationError(f"state {state.tolist()} at {stamp} s is not finite: check tf and the arm")
+
+    def _check_repeated(self, index: int, stamp: float, state: np.ndarray, image: np.ndarray) -> None:
+        if not 0 <= index < self._count:
+            raise ObservationError(f"observation {index} was handed over, but {self._count} is next: send that one")
+        same = stamp == self._arrays.stamps[index] and np.array_equal(state, self._arrays.raw_states[index])
+        if not (same and np.array_equal(image, self._arrays.images[index])):
+            raise ObservationError(
+                f"observation {index} is stored with other content: go on with number {self._count}, which is next"
+            )
+
+
+def _allocate(layout: RecordLayout, capacity: int) -> Observations:
+    """Memory that the kernel hands out only as it is filled."""
+    dimensions = len(layout.state_names)
+    return Observations(
+        states=np.empty((capacity, dimensions), np.float32),
+        raw_states=np.empty((capacity, dimensions), np.float64),
+        images=np.empty((capacity, *layout.image_shape), np.uint8),
+        stamps=np.empty(capacity, np.float64),
+    )
+
+
+def _own_layout(folder: Path, image_shape: Tuple[int, ...]) -> RecordLayout:
+    """The layout of a store that is to be written; a new store gets its files here."""
+    path, data = folder / LAYOUT_FILE, folder / DATA_FILE
+    if not path.exists() and not data.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        RecordLayout(image_shape).save(path)
+    layout = RecordLayout.load(path)
+    if layout.image_shape != image_shape:
+        raise ObservationError(
+            f"{path}: image_shape is {list(layout.image_shape)}, but the camera gives {list(image_shape)}: "
+            "set camera/height and camera/width back, or choose another session"
+        )
+    if not data.exists():
+        data.touch()
+        sync_folder(folder)
+    return layout

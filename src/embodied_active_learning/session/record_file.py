@@ -1,0 +1,73 @@
+"""The file of observation records: whole records are kept through any crash, a torn last one is cut off."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import Iterator
+
+import numpy as np
+
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.session import lock
+from embodied_active_learning.session.records import RecordLayout
+
+_LOG = logging.getLogger(__name__)
+
+
+class RecordFile:
+    """Records number 0, 1, 2 ... one after the other; written by one process, which holds the file's lock."""
+
+    def __init__(self, path: Path, layout: RecordLayout, writable: bool) -> None:
+        self.path = path
+        self.layout = layout
+        self._stream = path.open("r+b" if writable else "rb", buffering=0)
+        if writable:
+            try:
+                lock.claim(self._stream, path)
+            except SessionError:
+                self._stream.close()
+                raise
+
+    def read(self) -> Iterator[np.void]:
+        """Every whole record. Raises CorruptFileError when one is damaged that can't be a write cut short."""
+        descriptor = self._stream.fileno()
+        size = os.fstat(descriptor).st_size
+        for index in range(size // self.layout.size):
+            offset = index * self.layout.size
+            record = self.layout.unpack(os.pread(descriptor, self.layout.size, offset), index)
+            if record is not None:
+                yield record
+            elif offset + self.layout.size < size:
+                raise CorruptFileError(
+                    f"{self.path}: record {index} is damaged (crc32): restore the file, or start a new session"
+                )
+
+    def cut_after(self, count: int) -> None:
+        """Cut off what follows the first `count` records: a write that was cut short, so never acknowledged."""
+        descriptor = self._stream.fileno()
+        torn = os.fstat(descriptor).st_size - count * self.layout.size
+        if torn:
+            _LOG.warning("%s: cut off %d bytes of record %d, which was not complete", self.path, torn, count)
+            os.ftruncate(descriptor, count * self.layout.size)
+            os.fsync(descriptor)
+
+    def write(self, index: int, raw: bytes) -> None:
+        """Bring record number `index` to the disk. Raises SessionError when the disk fails; then write it again."""
+        # At its own offset, so that the next attempt overwrites what a failed one left.
+        offset, rest = index * self.layout.size, memoryview(raw)
+        try:
+            while rest:
+                written = os.pwrite(self._stream.fileno(), rest, offset)
+                offset, rest = offset + written, rest[written:]
+            os.fdatasync(self._stream.fileno())
+        except OSError as error:
+            raise SessionError(
+                f"{self.path}: record {index} could not be stored ({error.strerror}): free some disk space and hand "
+                "the observation over again"
+            ) from error
+
+    def close(self) -> None:
+        """Close the file and give its lock back."""
+        self._stream.close()
