@@ -91,7 +91,7 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class ObjectiveConfig:
-    """The loss and the schedule of its weights (paper, Eq. 17 and Alg. 1, line 13)."""
+    """The loss and the schedule of its weights (paper, Sec. 4, loss formulation, and Alg. 1)."""
 
     chi: float = setting(
         4.0, "scale of the latent regularisation: log10 beta = -log10(min h / max h) - chi", "", 0.0, 20.0
@@ -124,7 +124,7 @@ class TrainingConfig:
     active_unit_threshold: float = setting(
         0.01, "variance of a latent mean above which the unit is active", "", 0.0, 100.0
     )
-    evaluate_every: int = setting(150, "updates between two evaluations on a fixed subset", "updates", 1, 1000000)
+    evaluate_every: int = setting(300, "updates between two evaluations on a fixed subset", "updates", 1, 1000000)
     evaluation_size: int = setting(256, "observations of the fixed subset", "", 2, 65536)
     checkpoint_every: int = setting(600, "updates between two checkpoints", "updates", 1, 1000000)
     checkpoints_kept: int = setting(2, "checkpoints kept", "", 1, 1000)
@@ -234,6 +234,11 @@ class Config:
             raise ConfigError(
                 "training/batch_size is larger than training/first_update_at: the first batch could not be filled"
             )
+        if self.training.updates_per_observation and self.exploration.steps < self.training.first_update_at:
+            raise ConfigError(
+                f"exploration/steps is {self.exploration.steps}, fewer than training/first_update_at "
+                f"({self.training.first_update_at}): nothing would be learned"
+            )
         layers = {len(self.model.channels), len(self.model.kernels), len(self.model.strides)}
         if len(layers) != 1:
             raise ConfigError(
@@ -269,21 +274,25 @@ class Config:
 
 
 def load_profile(path: Path) -> Dict[str, Any]:
-    """Sections of keys that a YAML profile sets. Raises ConfigError for a missing or unreadable file."""
+    """Sections of keys that a YAML profile sets. Raises ConfigError when the file is missing or is no such thing."""
     try:
         values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"profile {path} cannot be read: {error.strerror}") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"profile {path} is not YAML: {error}") from error
-    return {} if values is None else values
+    values = {} if values is None else values
+    if not isinstance(values, dict):
+        raise ConfigError(f"profile {path} is a {type(values).__name__}, not sections of keys")
+    return {section: {} if keys is None else keys for section, keys in values.items()}
 
 
 def merge(base: Dict[str, Any], overrides: Dict[str, Any]) -> Dict[str, Any]:
     """Sections of keys in which the overrides win; neither argument is changed."""
-    merged = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in base.items()}
+    merged = dict(base)
     for name, keys in overrides.items():
-        merged[name] = {**merged.get(name, {}), **keys}
+        below = merged.get(name, {})
+        merged[name] = {**below, **keys} if isinstance(below, dict) and isinstance(keys, dict) else keys
     return merged
 
 
