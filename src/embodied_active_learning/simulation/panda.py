@@ -13,9 +13,10 @@ FLANGE_FRAME = "panda_link8"
 CAMERA_FRAME = "camera_link"
 OPTICAL_FRAME = "camera_optical_frame"
 ARM_JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
-FINGER_JOINTS = ("panda_finger_joint1", "panda_finger_joint2")
 
 _MESH_PREFIX = "package://meshes/"
+# The camera takes the gripper's place at the flange.
+_GRIPPER_LINKS = ("panda_hand", "panda_leftfinger", "panda_rightfinger", "panda_grasptarget")
 _SMALL_MASS = "0.01"
 _SMALL_INERTIA = "1e-5"
 
@@ -54,16 +55,33 @@ def _text(robot: ET.Element) -> str:
 
 
 def _camera_panda() -> ET.Element:
-    """The Panda with the real robot's joint limits, well-formed inertias and the camera's two links."""
+    """The Panda with a camera for a gripper, the real robot's joint limits and well-formed inertias."""
     # The file comes with pybullet itself: it is as trusted as the code that is imported from there.
     robot = ET.parse(_panda_folder() / "panda.urdf").getroot()  # noqa: S314
+    _remove_gripper(robot)
     for joint in robot.iter("joint"):
         _tidy_joint(joint)
     for link in robot.iter("link"):
         _tidy_inertia(link)
     _add_frame(robot, FLANGE_FRAME, CAMERA_FRAME)
     _add_frame(robot, CAMERA_FRAME, OPTICAL_FRAME)
+    _add_camera_body(robot)
     return robot
+
+
+def _remove_gripper(robot: ET.Element) -> None:
+    joints = [joint for joint in robot.iter("joint") if _child(joint, "child").get("link") in _GRIPPER_LINKS]
+    for element in joints + [_link(robot, name) for name in _GRIPPER_LINKS]:
+        robot.remove(element)
+
+
+def _add_camera_body(robot: ET.Element) -> None:
+    """A webcam for the eye, behind the optical centre."""
+    visual = ET.SubElement(_link(robot, CAMERA_FRAME), "visual")
+    ET.SubElement(visual, "origin", {"xyz": "0 0 -0.0125", "rpy": "0 0 0"})
+    ET.SubElement(ET.SubElement(visual, "geometry"), "box", {"size": "0.09 0.03 0.025"})
+    material = ET.SubElement(visual, "material", {"name": "camera_black"})
+    ET.SubElement(material, "color", {"rgba": "0.1 0.1 0.12 1"})
 
 
 def _tidy_joint(joint: ET.Element) -> None:

@@ -85,7 +85,7 @@ def world_names() -> Tuple[str, ...]:
 
 def load_world(name_or_path: str, workspace: Workspace) -> World:
     """A shipped world by name, or any by the path of its YAML file. Raises WorldError for whatever cannot be built."""
-    path = _find(name_or_path)
+    path = find_world(name_or_path)
     top = Section.read(path, ("table", "objects", "disturbances"))
     table = _table(top.section("table", ("centre", "size", "texture", "colour")), path.parent, workspace)
     named = top.section("objects")
@@ -100,7 +100,8 @@ def load_world(name_or_path: str, workspace: Workspace) -> World:
     return World(name=path.stem, objects=objects, table=table, disturbances=disturbances)
 
 
-def _find(name_or_path: str) -> Path:
+def find_world(name_or_path: str) -> Path:
+    """The file of a shipped world by name, or the path itself. Raises WorldError with the nearest known name."""
     path = Path(name_or_path).expanduser()
     if path.suffix in (".yaml", ".yml"):
         return path.absolute()

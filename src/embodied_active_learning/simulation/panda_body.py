@@ -1,0 +1,120 @@
+"""The simulated Panda's body: joints, frames and physics, in a PyBullet client of its own."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Dict, Tuple
+
+import numpy as np
+import pybullet
+
+from embodied_active_learning.simulation.panda import ARM_JOINTS, OPTICAL_FRAME, physics_urdf
+
+# The Panda compensates gravity itself and its servos follow a commanded joint velocity within a millisecond: the model
+# of that is no gravity, and motors strong enough to follow at once.
+_MOTOR_EFFORT = 1000.0  # N m
+
+
+class PandaBody:
+    """Seven joints that follow velocities, and the camera's optical frame at their end."""
+
+    def __init__(self, physics_rate: int) -> None:
+        """Load the robot; physics_rate in steps per second."""
+        self._rate = physics_rate
+        self._steps = 0
+        self._client = pybullet.connect(pybullet.DIRECT)
+        pybullet.setTimeStep(1.0 / physics_rate, physicsClientId=self._client)
+        self._robot = self._load()
+        infos = [
+            pybullet.getJointInfo(self._robot, index, physicsClientId=self._client)
+            for index in range(pybullet.getNumJoints(self._robot, physicsClientId=self._client))
+        ]
+        index_of = {info[1].decode(): info[0] for info in infos}
+        self._arm = [index_of[name] for name in ARM_JOINTS]
+        self._optical = next(info[0] for info in infos if info[12].decode() == OPTICAL_FRAME)
+        self._rest = [0.0] * len(self._arm)
+        for index in range(-1, len(infos)):
+            pybullet.changeDynamics(
+                self._robot, index, linearDamping=0.0, angularDamping=0.0, physicsClientId=self._client
+            )
+
+    def close(self) -> None:
+        """Free the client; the body is of no use afterwards."""
+        pybullet.disconnect(physicsClientId=self._client)
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds: physics steps divided by their rate."""
+        return self._steps / self._rate
+
+    @property
+    def period(self) -> float:
+        """Seconds of one physics step."""
+        return 1.0 / self._rate
+
+    def joint_states(self) -> Dict[str, Tuple[float, float]]:
+        """Position [rad] and velocity [rad/s] of every joint by name."""
+        states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)
+        return {name: (state[0], state[1]) for name, state in zip(ARM_JOINTS, states)}
+
+    def joints(self) -> np.ndarray:
+        """(7,) positions of the arm's joints, rad."""
+        states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)
+        return np.array([state[0] for state in states])
+
+    def optical_frame(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position (3,) m, orientation (3, 3) and twist (6,) m/s, rad/s of the optical frame in the base frame."""
+        state = pybullet.getLinkState(
+            self._robot, self._optical, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=self._client
+        )
+        orientation = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
+        return np.array(state[4]), orientation, np.array(state[6] + state[7])
+
+    def jacobian(self, joints: np.ndarray) -> np.ndarray:
+        """(6, 7) twist of the optical frame per joint velocity, at joint positions (7,)."""
+        linear, angular = pybullet.calculateJacobian(
+            self._robot,
+            self._optical,
+            (0.0, 0.0, 0.0),
+            joints.tolist(),
+            self._rest,
+            self._rest,
+            physicsClientId=self._client,
+        )
+        return np.array(linear + angular)
+
+    def place(self, joints: np.ndarray) -> None:
+        """Put the arm at joint positions (7,), at rest, without simulating how it gets there."""
+        self._reset(joints, np.zeros(len(joints)))
+
+    def drive(self, joints: np.ndarray, joint_velocities: np.ndarray) -> None:
+        """Advance physics by one step from where the joints are (7,), rad, at these velocities (7,), rad/s."""
+        # Bullet's iterative solver needs up to 20 ms to bring strongly coupled joints to new velocities. Starting them
+        # there leaves the motors nothing to do but to hold them.
+        self._reset(joints, joint_velocities)
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._arm,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=joint_velocities.tolist(),
+            forces=[_MOTOR_EFFORT] * len(self._arm),
+            physicsClientId=self._client,
+        )
+        pybullet.stepSimulation(physicsClientId=self._client)
+        self._steps += 1
+
+    def _reset(self, joints: np.ndarray, joint_velocities: np.ndarray) -> None:
+        pybullet.resetJointStatesMultiDof(
+            self._robot,
+            self._arm,
+            targetValues=joints[:, None].tolist(),
+            targetVelocities=joint_velocities[:, None].tolist(),
+            physicsClientId=self._client,
+        )
+
+    def _load(self) -> int:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "panda.urdf"
+            path.write_text(physics_urdf(), encoding="utf-8")
+            return pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=self._client)

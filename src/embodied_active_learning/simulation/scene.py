@@ -1,0 +1,208 @@
+"""What the wrist camera sees: the world's objects on their table, rendered without the arm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Tuple
+
+import cv2
+import numpy as np
+import pybullet
+
+from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.errors import WorldError
+from embodied_active_learning.simulation.world import PlacedObject, Table, World
+
+_FLOOR = (96, 94, 92)  # grey levels beyond the table's edge
+_NEAR = 0.01  # m
+_LIGHT = {
+    "lightDirection": [0.4, 0.5, 1.0],
+    "lightColor": [1.0, 1.0, 1.0],
+    "lightDistance": 2.0,
+    "lightAmbientCoeff": 0.6,
+    "lightDiffuseCoeff": 0.55,
+    "lightSpecularCoeff": 0.05,
+    "shadow": 0,
+}
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """An object as it truly stands: centre of its mesh (x, y) in m, yaw in rad, size of its unturned box in m."""
+
+    name: str
+    kind: str
+    centre: Tuple[float, float]
+    yaw: float
+    extent: Tuple[float, float, float]
+
+
+class Scene:
+    """Renders a world from planar camera poses, in a PyBullet client of its own."""
+
+    def __init__(self, world: World, camera: CameraConfig) -> None:
+        """Load every mesh and texture. Raises WorldError when PyBullet cannot."""
+        self._camera = camera
+        self._table = _TablePicture(world.table)
+        self._placed = world.objects
+        self._client = pybullet.connect(pybullet.DIRECT)
+        try:
+            for item in world.objects:
+                self._place(item)
+        except WorldError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Free the client; the scene is of no use afterwards."""
+        pybullet.disconnect(physicsClientId=self._client)
+
+    @property
+    def objects(self) -> Tuple[SceneObject, ...]:
+        """The truth about every object."""
+        return tuple(
+            SceneObject(item.name, item.kind, tuple(item.position), item.yaw, tuple(map(float, item.extent)))
+            for item in self._placed
+        )
+
+    def intrinsics(self) -> np.ndarray:
+        """(3, 3) camera matrix K in pixels, pixel centres at whole numbers as in ROS."""
+        return intrinsics(self._camera.width, self._camera.height, self._camera.field_of_view)
+
+    def render(self, pose: np.ndarray, height: float = 0.3) -> np.ndarray:
+        """Image (H, W, 3) uint8 RGB from pose (x m, y m, theta rad), height m above the table, looking straight down.
+
+        Image right is the optical x axis, image down its y axis; the optical frame is Rz(theta) Rx(pi).
+        """
+        return self._picture(pose, height, self._camera.width, self._camera.height, self._camera.field_of_view)
+
+    def top_view(self, centre: np.ndarray, size: float, width: int = 600) -> np.ndarray:
+        """Image (width, width, 3) uint8 RGB of a square of the table: centre (2,) m, size m; right is +x, up is +y."""
+        height = 2.0
+        field_of_view = math.degrees(2.0 * math.atan(size / (2.0 * height)))
+        return self._picture((centre[0], centre[1], 0.0), height, width, width, field_of_view)
+
+    def _picture(self, pose: np.ndarray, height: float, columns: int, rows: int, field_of_view: float) -> np.ndarray:
+        matrix = intrinsics(columns, rows, field_of_view)
+        camera = np.eye(4)
+        camera[:3, :3] = optical_rotation(pose[2])
+        camera[:3, 3] = (pose[0], pose[1], height)
+        _, _, colours, _, bodies = pybullet.getCameraImage(
+            columns,
+            rows,
+            viewMatrix=_view_matrix(camera),
+            projectionMatrix=_projection_matrix(matrix, columns, rows, 2.0 * height + 1.0),
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+            **_LIGHT,
+        )
+        objects = np.asarray(colours, dtype=np.uint8).reshape(rows, columns, 4)[:, :, :3]
+        seen = np.asarray(bodies).reshape(rows, columns, 1) >= 0
+        return np.where(seen, objects, self._table.picture(camera, matrix, columns, rows))
+
+    def _place(self, item: PlacedObject) -> None:
+        model, turn = item.model, pybullet.getQuaternionFromEuler((0.0, 0.0, item.yaw))
+        try:
+            shape = pybullet.createVisualShape(
+                pybullet.GEOM_MESH,
+                fileName=str(model.mesh),
+                meshScale=[item.scale * value for value in model.mesh_scale],
+                visualFramePosition=[item.scale * value for value in model.mesh_position],
+                visualFrameOrientation=pybullet.getQuaternionFromEuler(model.mesh_rpy),
+                rgbaColor=_rgba(item),
+                physicsClientId=self._client,
+            )
+            origin = _origin(item)
+            pybullet.createMultiBody(0.0, -1, shape, origin, turn, physicsClientId=self._client)
+        except pybullet.error as error:
+            raise WorldError(f"object {item.name}: PyBullet cannot load {model.mesh}: {error}") from error
+
+
+class _TablePicture:
+    """The table top seen from straight above.
+
+    Nothing on the table lies behind it, and a plane seen head-on is its texture moved, turned and scaled: so it need
+    not go through the renderer, which would spend most of its time on it and sample the texture without filtering.
+    """
+
+    def __init__(self, table: Table) -> None:
+        self._texture = _texture(table)
+        rows, columns = self._texture.shape[:2]
+        width, depth = table.size
+        left, top = table.centre[0] - width / 2.0, table.centre[1] + depth / 2.0
+        scale_x, scale_y = columns / width, rows / depth
+        # Base frame (x, y, 1) in m -> texture pixel, whose first centre lies half a pixel from the table's edge.
+        self._to_texture = np.array(
+            [[scale_x, 0.0, -scale_x * left - 0.5], [0.0, -scale_y, scale_y * top - 0.5], [0.0, 0.0, 1.0]]
+        )
+
+    def picture(self, camera: np.ndarray, matrix: np.ndarray, columns: int, rows: int) -> np.ndarray:
+        """(rows, columns, 3) uint8 for a camera pose (4, 4) that looks straight down, and its K (3, 3)."""
+        to_plane = np.eye(3)
+        to_plane[:2, :2] = camera[:2, :2] * camera[2, 3]
+        to_plane[:2, 2] = camera[:2, 3]
+        pixel_to_texture = self._to_texture @ to_plane @ np.linalg.inv(matrix)
+        return cv2.warpAffine(
+            self._texture,
+            pixel_to_texture[:2],
+            (columns, rows),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=_FLOOR,
+        )
+
+
+def optical_rotation(theta: float) -> np.ndarray:
+    """(3, 3) orientation of the optical frame in the base frame, tool pointing down: Rz(theta) Rx(pi)."""
+    cosine, sine = math.cos(theta), math.sin(theta)
+    return np.array([[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
+
+
+def intrinsics(width: int, height: int, field_of_view: float) -> np.ndarray:
+    """(3, 3) K of a camera with square pixels whose principal point is the middle of the image; degrees, vertical."""
+    focal = height / (2.0 * math.tan(math.radians(field_of_view) / 2.0))
+    return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
+
+
+def _view_matrix(camera: np.ndarray) -> Tuple[float, ...]:
+    """OpenGL view matrix, column by column, of an optical frame (4, 4): OpenGL looks along -z with y up."""
+    view = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(camera)
+    return tuple(view.T.ravel())
+
+
+def _projection_matrix(matrix: np.ndarray, columns: int, rows: int, far: float) -> Tuple[float, ...]:
+    """OpenGL projection, column by column, that puts what K (3, 3) puts at a pixel's centre into that pixel."""
+    projection = np.zeros((4, 4))
+    projection[0, 0] = 2.0 * matrix[0, 0] / columns
+    projection[1, 1] = 2.0 * matrix[1, 1] / rows
+    projection[2, 2] = -(far + _NEAR) / (far - _NEAR)
+    projection[2, 3] = -2.0 * far * _NEAR / (far - _NEAR)
+    projection[3, 2] = -1.0
+    # TinyRenderer samples a pixel at its lower left corner: half a pixel from its centre.
+    projection[0, 2], projection[1, 2] = 1.0 / columns, 1.0 / rows
+    return tuple(projection.T.ravel())
+
+
+def _origin(item: PlacedObject) -> np.ndarray:
+    """(3,) where the model's origin goes so that its mesh is centred on the position and stands at the height."""
+    cosine, sine = math.cos(item.yaw), math.sin(item.yaw)
+    x, y, _ = item.scale * item.model.centre
+    bottom = item.scale * item.model.lower[2]
+    turned = (cosine * x - sine * y, sine * x + cosine * y)
+    return np.array([item.position[0] - turned[0], item.position[1] - turned[1], item.height - bottom])
+
+
+def _rgba(item: PlacedObject) -> Tuple[float, ...]:
+    colour = item.model.colour if item.colour is None else item.colour
+    return (*colour[:3], 1.0)
+
+
+def _texture(table: Table) -> np.ndarray:
+    """(H, W, 3) uint8 RGB of the table top."""
+    if table.texture is None:
+        return np.full((2, 2, 3), np.rint(255.0 * np.asarray(table.colour)), dtype=np.uint8)
+    image = cv2.imread(str(table.texture), cv2.IMREAD_COLOR)
+    if image is None:
+        raise WorldError(f"texture {table.texture} is not an image: give a PNG or JPEG file")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

@@ -1,0 +1,211 @@
+"""The simulated arm goes where it is told, as fast as it may, and nowhere else."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from embodied_active_learning.config import ArmConfig, CameraConfig, Config, SimulationConfig, WorkspaceConfig
+from embodied_active_learning.errors import CommandError, ConfigError
+from embodied_active_learning.simulation.arm import SimulatedArm
+from embodied_active_learning.simulation.panda import ARM_JOINTS
+from embodied_active_learning.simulation.servo import JOINT_LIMITS
+
+CONFIG = Config()
+BOX = CONFIG.workspace.box()
+FULL_SPEED = np.array([0.15, 0.15, 1.5])
+
+velocities = st.tuples(*(st.floats(-2.0 * speed, 2.0 * speed) for speed in FULL_SPEED))
+commands = st.lists(st.tuples(velocities, st.floats(0.01, 0.5)), min_size=1, max_size=6)
+
+
+@pytest.fixture
+def arm():
+    arm = SimulatedArm(CONFIG)
+    yield arm
+    arm.close()
+
+
+def assert_upright(arm):
+    """Height and tilt held, joints legal."""
+    assert abs(arm.camera_height - 0.3) < 1e-3
+    assert arm.tilt < 0.005
+    joints = np.array([arm.joint_positions[name] for name in ARM_JOINTS])
+    assert np.all(joints >= JOINT_LIMITS[:, 0])
+    assert np.all(joints <= JOINT_LIMITS[:, 1])
+
+
+def test_the_arm_starts_at_the_configured_pose_at_rest(arm):
+    np.testing.assert_allclose(arm.pose, CONFIG.simulation.start, atol=1e-5)
+    np.testing.assert_array_equal(arm.velocity, np.zeros(3))
+    assert arm.time == 0.0
+    assert_upright(arm)
+
+
+@pytest.mark.parametrize("velocity", [(0.1, 0, 0), (0, -0.1, 0), (0, 0, 1.2), (0.06, -0.07, 0.9), tuple(FULL_SPEED)])
+def test_a_commanded_velocity_is_tracked_to_within_half_a_percent(arm, velocity):
+    before = arm.pose
+    result = arm.move(velocity, 0.2)
+    assert not result.limited
+    np.testing.assert_allclose(result.state - before, 0.2 * np.array(velocity), atol=0.005 * 0.2 * 0.15)
+    np.testing.assert_allclose(result.velocity, velocity, atol=0.005 * 0.15)
+    np.testing.assert_array_equal(result.state, arm.pose)
+    assert_upright(arm)
+
+
+def test_joint_velocities_are_those_of_the_joint_positions(arm):
+    arm.move((0.1, 0.05, 0.5), 0.2)
+    before, velocity = arm.joint_positions, arm.joint_velocities
+    assert set(before) == set(ARM_JOINTS)
+    arm.move((0.1, 0.05, 0.5), 1 / 240)
+    for name in before:
+        assert 240 * (arm.joint_positions[name] - before[name]) == pytest.approx(velocity[name], abs=0.01)
+
+
+@given(commands=commands)
+@settings(max_examples=30, deadline=None)
+def test_no_command_leaves_the_workspace_or_tilts_the_camera(commands):
+    arm = SimulatedArm(CONFIG)
+    for velocity, duration in commands:
+        arm.move(velocity, duration)
+        assert BOX.contains(arm.pose)
+        assert np.all(np.abs(arm.velocity) <= 1.01 * FULL_SPEED)
+        assert_upright(arm)
+    arm.close()
+
+
+@pytest.mark.parametrize("rate", [60, 240])
+@pytest.mark.parametrize("direction", [(1, 1, 1), (-1, 1, -1)])
+def test_running_into_a_corner_at_full_speed_ends_just_inside_it(rate, direction):
+    arm = SimulatedArm(dataclasses.replace(CONFIG, simulation=SimulationConfig(physics_rate=rate)))
+    limited = [arm.move(np.array(direction) * FULL_SPEED, 0.48).limited for _ in range(4)]
+    assert limited == [False, False, True, True]
+    assert BOX.contains(arm.pose)
+    np.testing.assert_allclose(BOX.normalise(arm.pose), direction, atol=1e-3)
+    np.testing.assert_allclose(arm.velocity, np.zeros(3), atol=1e-2)
+    assert_upright(arm)
+    arm.close()
+
+
+def test_every_corner_of_the_workspace_is_reached_upright_and_at_rest(arm):
+    for corner in itertools.product(*zip(BOX.lower, BOX.upper)):
+        result = arm.go_to(corner)
+        np.testing.assert_allclose(result.state[:2], corner[:2], atol=2e-4)
+        np.testing.assert_allclose(result.state[2], corner[2], atol=2e-3)
+        np.testing.assert_allclose(result.velocity, np.zeros(3), atol=1e-3)
+        assert BOX.contains(result.state)
+        assert_upright(arm)
+
+
+def test_going_somewhere_keeps_the_speed_limits(arm):
+    start = arm.pose
+    result = arm.go_to((0.6, 0.1, 1.5))
+    assert not result.limited
+    assert arm.time >= np.max(np.abs(result.state - start) / FULL_SPEED)
+    assert arm.time <= 0.5 + np.max(np.abs(result.state - start) / FULL_SPEED)
+
+
+def test_a_command_above_the_speed_limits_is_slowed_in_its_own_direction(arm):
+    before = arm.pose
+    result = arm.move((0.6, 0.3, 0.0), 0.2)
+    assert result.limited
+    np.testing.assert_allclose(result.state - before, [0.03, 0.015, 0.0], atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "duration"),
+    [
+        ((math.nan, 0, 0), 0.2),
+        ((0, math.inf, 0), 0.2),
+        ((0, 0), 0.2),
+        ("abc", 0.2),
+        (None, 0.2),
+        ((0.1, 0, 0), 0.0),
+        ((0.1, 0, 0), -0.2),
+        ((0.1, 0, 0), 1.1),
+        ((0.1, 0, 0), math.nan),
+        ((0.1, 0, 0), math.inf),
+    ],
+)
+def test_a_senseless_command_is_refused_and_the_arm_unchanged(arm, velocity, duration):
+    arm.move((0.05, 0.0, 0.3), 0.1)
+    pose, speed, time = arm.pose, arm.velocity, arm.time
+    with pytest.raises(CommandError, match="is refused"):
+        arm.move(velocity, duration)
+    np.testing.assert_array_equal(arm.pose, pose)
+    np.testing.assert_array_equal(arm.velocity, speed)
+    assert arm.time == time
+
+
+@pytest.mark.parametrize("pose", [(0.7, 0, 0), (0.475, 0, 2.1), (math.nan, 0, 0), (0.475, 0)])
+def test_a_pose_outside_the_workspace_is_refused_and_the_arm_unchanged(arm, pose):
+    before = arm.pose
+    with pytest.raises(CommandError, match="is refused"):
+        arm.go_to(pose)
+    np.testing.assert_array_equal(arm.pose, before)
+    assert arm.time == 0.0
+
+
+def test_stopping_stops_within_a_hundredth_of_a_second(arm):
+    arm.move(FULL_SPEED, 0.3)
+    before = arm.time
+    result = arm.stop()
+    np.testing.assert_allclose(result.velocity, np.zeros(3), atol=1e-3)
+    assert 0.0 < arm.time - before <= 0.01
+
+
+def test_time_counts_physics_steps_exactly(arm):
+    for _ in range(30):
+        arm.move((0.0, 0.0, 0.1), 0.1)
+    assert arm.time == 720 / 240
+    arm.move((0.0, 0.0, 0.1), 1e-6)
+    assert arm.time == 721 / 240
+
+
+def test_an_arm_told_to_stand_still_stays_where_it_is(arm):
+    arm.go_to((0.35, 0.12, -1.5))
+    before = arm.pose
+    for _ in range(5):
+        arm.move((0, 0, 0), 1.0)
+    np.testing.assert_allclose(arm.pose, before, atol=1e-4)
+    assert_upright(arm)
+
+
+def test_two_arms_in_one_process_do_not_touch_each_other(arm):
+    other = SimulatedArm(CONFIG)
+    other.move((0.1, 0, 0), 0.5)
+    np.testing.assert_allclose(arm.pose, CONFIG.simulation.start, atol=1e-5)
+    assert arm.time == 0.0
+    other.close()
+    assert arm.move((0, 0.1, 0), 0.1).state[1] == pytest.approx(0.01, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        dataclasses.replace(CONFIG, workspace=WorkspaceConfig(x=(0.325, 1.2))),
+        dataclasses.replace(CONFIG, workspace=WorkspaceConfig(theta=(-3.1, 3.1))),
+        # every corner can be reached, the middle of the edge next to the base cannot
+        dataclasses.replace(CONFIG, workspace=WorkspaceConfig(x=(0.2, 0.5), y=(-0.4, 0.4), theta=(-1.0, 1.0))),
+        dataclasses.replace(CONFIG, camera=CameraConfig(distance=1.8)),
+    ],
+)
+def test_a_workspace_out_of_the_pandas_reach_is_refused_before_anything_moves(config):
+    with pytest.raises(ConfigError, match="the Panda cannot hold its camera at"):
+        SimulatedArm(config)
+
+
+def test_joint_speeds_stay_legal_however_fast_the_arm_may_be():
+    limits = ArmConfig(max_speed=1.0, max_turn_rate=2.6)
+    arm = SimulatedArm(dataclasses.replace(CONFIG, arm=limits))
+    result = arm.move((0.0, -1.0, 2.6), 0.1)
+    assert result.limited
+    speeds = np.array([arm.joint_velocities[name] for name in ARM_JOINTS])
+    assert np.all(np.abs(speeds) <= 1.001 * JOINT_LIMITS[:, 2])
+    arm.close()
