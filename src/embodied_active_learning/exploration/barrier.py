@@ -23,7 +23,7 @@ class Barrier:
     velocity_begin: np.ndarray  # (D,) velocity units
 
     @classmethod
-    def from_config(cls, config: Config) -> "Barrier":
+    def from_config(cls, config: Config) -> Barrier:
         """The configured barrier; the margin holds for positions and velocities alike, as the authors have it."""
         planner = config.planner
         velocity_begin = np.maximum(np.asarray(planner.velocity_limits) - planner.barrier_margin, 0.0)

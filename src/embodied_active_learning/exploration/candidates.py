@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Tuple
+
 import numpy as np
 
 LONGEST_WINDOW = 5  # steps, as in the authors' search for the time of application
@@ -28,8 +30,9 @@ def window_candidates(controls: np.ndarray, update: np.ndarray, windows: np.ndar
     return candidates
 
 
-def random_candidates(random: np.random.Generator, count: int, horizon: int, limit: float, axes: int) -> np.ndarray:
-    """Plans of two random constant controls, switched at a random step -> (count, horizon, axes), within +-limit."""
+def random_candidates(random: np.random.Generator, shape: Tuple[int, int, int], limit: float) -> np.ndarray:
+    """Plans of two random constant controls, switched at a random step -> shape (B, H, D), within +-limit."""
+    count, horizon, axes = shape
     switch = random.integers(1, horizon, (count, 1))
     first, second = random.uniform(-limit, limit, (2, count, 1, axes))
     return np.where((np.arange(horizon) < switch)[..., np.newaxis], first, second)

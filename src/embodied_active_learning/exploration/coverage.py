@@ -1,4 +1,4 @@
-"""Workspace coverage k: how much of the workspace has been seen (paper, Algorithm 1, line 8)."""
+"""Workspace coverage k: how much of the workspace has been seen (paper, Alg. 1, line 8)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CHUNK = 256  # visited states at a time: their exponents at 1000 samples stay in
 
 
 def workspace_coverage(samples: np.ndarray, states: np.ndarray, variance: float, authors: bool = False) -> float:
-    """k in [0, 1]: mean over samples of the largest kernel of any visited state. samples: (S, D), states: (N, D).
+    """Coverage k in [0, 1]: mean over samples of the largest kernel of any state. samples: (S, D), states: (N, D).
 
     Trainer and planner share it. authors: the variant of the authors' controller, see mean_coverage.
     """
@@ -29,9 +29,9 @@ def largest_kernel(samples: np.ndarray, states: np.ndarray, variance: float) -> 
 
 
 def mean_coverage(largest: np.ndarray, samples: np.ndarray, authors: bool = False) -> float:
-    """k from the largest kernel (S,) at each sample (S, D).
+    """Coverage k from the largest kernel (S,) at each sample (S, D).
 
-    authors: divide by the largest of all, and count samples outside the workspace as seen (algorithm.md, section 4).
+    authors: divide by the largest of all, and count samples outside the workspace as seen (docs/method.md, section 4).
     """
     if authors:
         largest = largest / max(float(np.max(largest)), np.finfo(np.float64).tiny)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
@@ -19,6 +18,11 @@ class Rollout:
     position_free: np.ndarray  # (B, H, D) bool: the border did not stop the axis
     velocity_free: np.ndarray  # (B, H, D) bool: the velocity limit did not cut the control
 
+    def select(self, plan: int) -> Rollout:
+        """One of the plans, still with a leading axis of 1."""
+        one = slice(plan, plan + 1)
+        return Rollout(self.positions[one], self.velocities[one], self.position_free[one], self.velocity_free[one])
+
 
 @dataclass(frozen=True)
 class DoubleIntegrator:
@@ -26,7 +30,7 @@ class DoubleIntegrator:
 
     Positions are normalised. Velocities are in the controller's units, in which velocity_limit is the arm's top speed;
     so gain is (top speed / velocity limit) / workspace scale, per axis: 0.8, 0.8, 1.2 by default. The authors have 0.8
-    for all, right only for their simulated x and y (algorithm.md, section 5).
+    for all, right only for their simulated x and y (docs/method.md, section 5).
     """
 
     step: float  # s
@@ -35,7 +39,7 @@ class DoubleIntegrator:
     speed_unit: np.ndarray  # (D,) m/s, m/s, rad/s per velocity unit
 
     @classmethod
-    def from_config(cls, config: Config) -> "DoubleIntegrator":
+    def from_config(cls, config: Config) -> DoubleIntegrator:
         """The model of the configured arm, workspace and step."""
         limit = np.asarray(config.planner.velocity_limits)
         top_speed = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
@@ -50,33 +54,23 @@ class DoubleIntegrator:
         """m/s, m/s, rad/s (..., D) -> velocity units."""
         return np.asarray(velocity, dtype=np.float64) / self.speed_unit
 
-    def advance(
-        self, position: np.ndarray, velocity: np.ndarray, control: np.ndarray
-    ) -> Tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """One step of each plan, (..., D) each -> position, velocity, position_free, velocity_free.
+    def rollout(self, position: np.ndarray, velocity: np.ndarray, controls: np.ndarray) -> Rollout:
+        """Predict plans. position, velocity: (D,) now, controls: (B, H, D).
 
         Velocity stops at its limit; at the border position stops and outward velocity becomes zero.
         """
-        wanted = velocity + self.step * control
-        reached = np.clip(wanted, -self.velocity_limit, self.velocity_limit)
-        unbounded = position + 0.5 * self.step * self.gain * (velocity + reached)
-        inside = np.clip(unbounded, -1.0, 1.0)
-        position_free = inside == unbounded
-        outward = reached * unbounded > 0.0
-        return inside, np.where(position_free | ~outward, reached, 0.0), position_free, wanted == reached
+        limit, half_step = self.velocity_limit, 0.5 * self.step * self.gain
+        positions, velocities, unbounded, wanted = (np.empty(controls.shape) for _ in range(4))
+        for t in range(controls.shape[1]):
+            wanted[:, t] = velocity + self.step * controls[:, t]
+            reached = np.minimum(np.maximum(wanted[:, t], -limit), limit)
+            unbounded[:, t] = position + half_step * (velocity + reached)
+            position = positions[:, t] = np.minimum(np.maximum(unbounded[:, t], -1.0), 1.0)
+            outward = (position != unbounded[:, t]) & (reached * position > 0.0)
+            velocity = velocities[:, t] = np.where(outward, 0.0, reached)
+        return Rollout(positions, velocities, positions == unbounded, np.abs(wanted) <= limit)
 
-    def rollout(self, position: np.ndarray, velocity: np.ndarray, controls: np.ndarray) -> Rollout:
-        """Predict plans. position, velocity: (D,) now, controls: (B, H, D)."""
-        position, velocity = (np.broadcast_to(start, controls[:, 0].shape) for start in (position, velocity))
-        steps = []
-        for control in np.swapaxes(controls, 0, 1):
-            steps.append(self.advance(position, velocity, control))
-            position, velocity = steps[-1][:2]
-        return Rollout(*(np.stack(part, axis=1) for part in zip(*steps)))
-
-    def pull_back(
-        self, rollout: Rollout, position_gradient: np.ndarray, velocity_gradient: np.ndarray
-    ) -> np.ndarray:
+    def pull_back(self, rollout: Rollout, position_gradient: np.ndarray, velocity_gradient: np.ndarray) -> np.ndarray:
         """Gradients by predicted states -> gradient by controls, the adjoint of rollout. (B, H, D) each."""
         half_step = 0.5 * self.step * self.gain
         stopped = ~rollout.position_free & (rollout.velocities == 0.0)

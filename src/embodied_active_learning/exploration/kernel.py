@@ -13,7 +13,7 @@ from embodied_active_learning.config import Config
 
 
 def kernel_variance(samples: int, dimensions: int) -> float:
-    """Variance of the kernel, normalised units. The authors' rule: the radius of a ball of 0.1/S of the workspace's volume.
+    """Variance of the kernel, normalised units: the authors' rule, the radius of a ball of 0.1/S of the workspace.
 
     1000 samples in 3 dimensions -> 0.057588; 2000 -> 0.045708. It is a length used as a variance; results depend on it.
     """
@@ -23,10 +23,10 @@ def kernel_variance(samples: int, dimensions: int) -> float:
 
 @dataclass(frozen=True)
 class CoverageKernel:
-    """psi(s|x) = exp(-sum (s - x)^2 / 2 variance) / mass(x), normalised units (paper, Eq. 3).
+    """psi(s|x) = exp(-sum (s - x)^2 / 2 variance) / mass(x), normalised units (paper, Sec. 2.3).
 
-    mass(x) is the share of the Gaussian inside [-box, box]^D where normalise is set, else 1. Without it most of a corner
-    state's kernel falls outside the samples, so that standing in a corner costs nothing and becomes a trap.
+    mass(x) is the share of the Gaussian inside [-box, box]^D where normalise is set, else 1. Without it most of a
+    corner state's kernel falls outside the samples, so that standing in a corner costs nothing and becomes a trap.
 
     Exponents come from one product of feature vectors, s.x/v - |s|^2/2v - |x|^2/2v - log mass(x), in single precision:
     for states within the workspace the kernel is right to about 1e-5 of its value.
@@ -37,7 +37,7 @@ class CoverageKernel:
     normalise: bool = False
 
     @classmethod
-    def from_config(cls, config: Config) -> "CoverageKernel":
+    def from_config(cls, config: Config) -> CoverageKernel:
         """The kernel of a run."""
         exploration = config.exploration
         variance = exploration.kernel_variance or kernel_variance(exploration.samples, config.workspace.box().size)

@@ -6,6 +6,7 @@ from typing import Tuple
 
 import numpy as np
 
+from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.exploration.barrier import Barrier
 from embodied_active_learning.exploration.dynamics import Rollout
 from embodied_active_learning.exploration.samples import WorkspaceSamples
@@ -16,13 +17,23 @@ class ErgodicObjective:
     """J = D_KL(h || d) + sum of barriers, with d over all visited states and the H planned ones (paper, Sec. 2.3)."""
 
     def __init__(self, target: np.ndarray, samples: WorkspaceSamples, barrier: Barrier) -> None:
-        """Fix everything that no plan changes. target: (S,)."""
+        """Fix everything that no plan changes. target: (S,), at the samples as they are now."""
+        if np.shape(target) != samples.visitation.shape or not np.all(np.isfinite(target)):
+            raise EmbodiedActiveLearningError(
+                f"the target of shape {np.shape(target)} is not one finite number for each of the"
+                f" {samples.visitation.size} samples: evaluate it at the samples of this step"
+            )
         self._share = normalise(target)
         self._entropy = float(np.sum(self._share * np.log(self._share)))
         self._samples = samples
         self._features = np.ascontiguousarray(samples.features.T)
         self._visitation = samples.visitation
         self._barrier = barrier
+
+    @property
+    def scale(self) -> float:
+        """The largest visitation over the largest share of the target: turns dJ/du into the authors' update."""
+        return max(float(np.max(self._visitation)), 1.0) / float(np.max(self._share))
 
     def cost(self, rollout: Rollout) -> np.ndarray:
         """J of each plan, (B,) nats."""
@@ -54,5 +65,5 @@ class ErgodicObjective:
         Where the floor holds, J is flat; the derivative of the measure without floor points there nevertheless, which
         is what draws the arm to places it has never been near.
         """
-        total = float(np.sum(visitation))
+        total = max(float(np.sum(visitation)), np.finfo(np.float32).tiny)
         return 1.0 / total - self._share / np.maximum(visitation, FLOOR * total)

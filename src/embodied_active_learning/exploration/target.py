@@ -10,9 +10,10 @@ FLOOR = 1e-6  # smallest share of one sample, as the authors have it: bounds the
 
 
 def target_distribution(log_std: np.ndarray, coverage: float) -> np.ndarray:
-    """h(s) ~ exp(entropy)^k = std(s)^k over workspace samples, summing to 1. log_std: (S,) -> (S,). Paper, Eq. 16.
+    """h(s) ~ exp(entropy)^k = std(s)^k over workspace samples, summing to 1. log_std: (S,) -> (S,).
 
-    The entropy is that of one pixel, so that exp(entropy) is proportional to the predicted standard deviation.
+    Paper, Sec. 4, control formulation. The entropy is that of one pixel, so that exp(entropy) is proportional to the
+    predicted standard deviation.
     """
     log_std = np.asarray(log_std, dtype=np.float64)
     bad = np.count_nonzero(~np.isfinite(log_std))
