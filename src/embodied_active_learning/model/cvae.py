@@ -1,4 +1,4 @@
-"""The conditional variational autoencoder: one image at one state -> latents -> the image at any state (paper, Table 2)."""
+"""The conditional variational autoencoder: image at a state -> latents -> image at any state (paper, Table 2)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import List, NamedTuple, Tuple
 
 import torch
 from torch import nn
-from torch.nn import functional as F
+from torch.nn import functional
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.errors import ConfigError
@@ -58,7 +58,8 @@ class ConditionalVAE(nn.Module):
     def __init__(self, image_size: Size, state_size: int, config: ModelConfig) -> None:
         super().__init__()
         sizes = convolution_sizes(image_size, config)
-        self.image_size: Size = sizes[0]
+        self.sizes = sizes
+        self.image_size = sizes[0]
         self.state_size = state_size
         self.latent_size = config.latent_size
         self.feature_shape = (config.channels[-1], *sizes[-1])
@@ -89,7 +90,7 @@ class ConditionalVAE(nn.Module):
         return self.image_decoder(features.unflatten(1, self.feature_shape)), log_std
 
     def decode_features(self, latents: torch.Tensor, states: torch.Tensor) -> Tuple[torch.Tensor, torch.Tensor]:
-        """The part of the decoder before the image. latents: (B, L), states: (B, D) -> log std (B,), features (B, F)."""
+        """The decoder before the image. latents: (B, L), states: (B, D) -> log std (B,), features (B, F)."""
         outputs = self.decoder(torch.cat((latents, states), dim=1))
         return outputs[:, 0].clamp(*LOG_LIMITS), outputs[:, 1:]
 
@@ -101,7 +102,7 @@ class ConditionalVAE(nn.Module):
         hidden = _first_layer(self.decoder[0], latents.reshape(-1, self.latent_size), states)
         hidden = self.decoder[1:-1](hidden)
         head = self.decoder[-1]
-        return F.linear(hidden, head.weight[:1], head.bias[:1])[:, 0].clamp(*LOG_LIMITS)
+        return functional.linear(hidden, head.weight[:1], head.bias[:1])[:, 0].clamp(*LOG_LIMITS)
 
 
 def initialise(network: nn.Module, generator: torch.Generator) -> None:
@@ -109,7 +110,7 @@ def initialise(network: nn.Module, generator: torch.Generator) -> None:
     with torch.no_grad():
         for layer in network.modules():
             if isinstance(layer, (nn.Linear, nn.Conv2d, nn.ConvTranspose2d)):
-                # PyTorch takes the second dimension for every layer, also where a transposed convolution's is its output.
+                # PyTorch takes the second dimension as the inputs, also of transposed convolutions, where it is not.
                 bound = 1.0 / math.sqrt(layer.weight[0].numel())
                 layer.weight.uniform_(-bound, bound, generator=generator)
                 layer.bias.uniform_(-bound, bound, generator=generator)
@@ -120,7 +121,9 @@ def _first_layer(layer: nn.Linear, shared: torch.Tensor, states: torch.Tensor) -
     if len(shared) == len(states):
         return layer(torch.cat((shared, states), dim=1))
     width = shared.shape[1]
-    return F.linear(shared, layer.weight[:, :width], layer.bias) + F.linear(states, layer.weight[:, width:])
+    return functional.linear(shared, layer.weight[:, :width], layer.bias) + functional.linear(
+        states, layer.weight[:, width:]
+    )
 
 
 def _perceptron(sizes: List[int]) -> nn.Sequential:
@@ -145,8 +148,6 @@ def _image_decoder(config: ModelConfig, sizes: List[Size]) -> nn.Sequential:
     for index in reversed(range(len(config.kernels))):
         kernel, stride = config.kernels[index], config.strides[index]
         padding = tuple((length - kernel) % stride for length in sizes[index])
-        layers.append(
-            nn.ConvTranspose2d(channels[index + 1], channels[index], kernel, stride, output_padding=padding)
-        )
+        layers.append(nn.ConvTranspose2d(channels[index + 1], channels[index], kernel, stride, output_padding=padding))
         layers.append(nn.ReLU())
     return nn.Sequential(*layers[:-1])

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Tuple
+from typing import Any, Dict, Optional, Tuple
 
 import numpy as np
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
+from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.exploration.coverage import workspace_coverage
 from embodied_active_learning.exploration.kernel import CoverageKernel
 from embodied_active_learning.model import checkpoint
-from embodied_active_learning.model.cvae import ConditionalVAE, initialise
+from embodied_active_learning.model.construction import (
+    LossFunction,
+    build_network,
+    build_optimiser,
+    choose_device,
+    choose_loss,
+)
+from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.measures import Evaluation, active_units, evaluate_model
-from embodied_active_learning.model.objective import Loss, plain_loss
+from embodied_active_learning.model.objective import Loss
 from embodied_active_learning.model.observations import BatchReader, Observations
 from embodied_active_learning.model.schedule import Schedule
 from embodied_active_learning.model.snapshot import Snapshot
@@ -32,7 +38,7 @@ class DivergenceError(EmbodiedActiveLearningError):
 class UpdateReport:
     """One update: the loss with its terms, the weights it used, and what the minibatch's latents look like.
 
-    log_std_min, log_std_max and coverage are of the latest evaluation of the schedule; seconds is wall time.
+    log_std_min, log_std_max and coverage are of the latest evaluation of the schedule.
     """
 
     update: int
@@ -47,7 +53,6 @@ class UpdateReport:
     active_units: int
     log_std_min: float
     log_std_max: float
-    seconds: float
 
 
 class Learner:
@@ -56,37 +61,31 @@ class Learner:
     One thread may call its methods; `snapshot` may be asked from any thread.
     """
 
-    def __init__(self, config: Config, observations: Observations, seed: int) -> None:
-        """Build the network and the optimiser. Raises ConfigError for a device that is not there."""
+    def __init__(
+        self, config: Config, observations: Observations, seed: int, loss: Optional[LossFunction] = None
+    ) -> None:
+        """Build the network and the optimiser. Raises ConfigError for a device that is not there.
+
+        loss: plain_loss or a stand-in for it; None takes the fastest for the device.
+        """
         self._config = config
         self._observations = observations
         self._seed = seed
         self._device = choose_device(config.training.device)
         weights_seed, batches_seed = np.random.SeedSequence([seed, 201]).spawn(2)
         self._random = np.random.default_rng(batches_seed)
-        self.network = _build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
-        self._optimiser = _build_optimiser(self.network, config.training.learning_rate)
-        self._loss = plain_loss
-        self._reader = BatchReader(observations, self._device)
+        self.network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
+        self._optimiser = build_optimiser(self.network, config.training.learning_rate)
+        self._loss, self.arithmetic = (loss, "as given") if loss else choose_loss(self.network, self._device)
+        self._reader = BatchReader(observations, self._device, keep=self._device.type != "cpu")
         self._variance = CoverageKernel.from_config(config).variance
         self.schedule = Schedule(config.objective)
         self.updates = 0
         self.skipped = 0
         self.snapshot = Snapshot(self.network)
 
-    def due(self) -> int:
-        """Updates that should have been made by now, given the observations there are."""
-        training, steps = self._config.training, self._config.exploration.steps
-        count = len(self._observations)
-        if count < training.first_update_at:
-            return 0
-        if count >= steps:
-            return training.updates_per_observation * steps
-        return training.updates_per_observation * (count - training.first_update_at)
-
     def update(self) -> UpdateReport:
         """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients."""
-        start = time.perf_counter()
         if self.updates % self._config.objective.schedule_every == 0:
             self._evaluate_schedule()
         beta, gamma = self.schedule.beta, self.schedule.gamma
@@ -106,14 +105,15 @@ class Learner:
             active_units=active_units(loss.latent_means, self._config.training.active_unit_threshold),
             log_std_min=self.schedule.log_std_min,
             log_std_max=self.schedule.log_std_max,
-            seconds=time.perf_counter() - start,
         )
 
     def evaluate(self) -> Evaluation:
         """The model on a fixed subset of the observations, and over the workspace with the newest one's latent.
 
-        The subset is the same at every call once all observations are there; before, it is a uniform draw of those
-        that are. Draws nothing from the training's generator, so that looking does not change the run.
+        Which `evaluation_size` of the run's `exploration.steps` observations make up the subset follows from the seed.
+        Those of them that are there already are used, so that the subset only grows until it is complete; where they
+        are fewer than two, the newest two observations stand in. Draws nothing from the training's generator, so that
+        looking does not change the run.
         """
         subset = self._reader.read(self._evaluation_indices())
         random = np.random.default_rng(np.random.SeedSequence([self._seed, 202]))
@@ -179,7 +179,8 @@ class Learner:
         with torch.inference_mode():
             log_std = self._log_std_over(states)
         visited = self._observations.states[: len(self._observations)]
-        self.schedule.evaluate(log_std, workspace_coverage(states, visited, self._variance))
+        authors = self._config.exploration.authors_coverage
+        self.schedule.evaluate(log_std, workspace_coverage(states, visited, self._variance, authors))
 
     def _workspace_states(self, random: np.random.Generator) -> np.ndarray:
         return random.uniform(-1.0, 1.0, (self._config.exploration.samples, self.network.state_size))
@@ -191,34 +192,12 @@ class Learner:
         return self.network.log_std(latent, points).cpu().numpy()
 
     def _evaluation_indices(self) -> np.ndarray:
+        """Indices (N,) of the fixed subset's observations that are there, or of the newest two."""
         random = np.random.default_rng(np.random.SeedSequence([self._seed, 203]))
-        order = random.permutation(max(self._config.exploration.steps, len(self._observations)))
-        return order[order < len(self._observations)][: self._config.training.evaluation_size]
-
-
-def choose_device(name: str) -> torch.device:
-    """auto | cpu | cuda -> the device. Raises ConfigError for cuda where there is none."""
-    available = torch.cuda.is_available()
-    if name == "cuda" and not available:
-        raise ConfigError("training/device is 'cuda' but torch sees no CUDA device here: use auto or cpu")
-    return torch.device("cuda" if available and name != "cpu" else "cpu")
-
-
-def _build_network(config: Config, seed: int) -> ConditionalVAE:
-    # Made without memory first: the layers' own initialisation would draw from torch's global generator.
-    with torch.device("meta"):
-        image_size = (config.camera.height, config.camera.width)
-        network = ConditionalVAE(image_size, config.workspace.box().size, config.model)
-    network = network.to_empty(device="cpu")
-    initialise(network, torch.Generator().manual_seed(seed))
-    return network
-
-
-def _build_optimiser(network: ConditionalVAE, learning_rate: float) -> torch.optim.Adam:
-    try:
-        return torch.optim.Adam(network.parameters(), learning_rate, fused=True)
-    except RuntimeError:  # a torch without fused kernels for this device
-        return torch.optim.Adam(network.parameters(), learning_rate)
+        chosen = random.permutation(self._config.exploration.steps)[: self._config.training.evaluation_size]
+        count = len(self._observations)
+        present = chosen[chosen < count]
+        return present if len(present) >= 2 else np.arange(max(0, count - 2), count)
 
 
 def _all_finite(loss: Loss, network: ConditionalVAE) -> bool:

@@ -1,4 +1,4 @@
-"""What the training is judged by: active units, reconstruction with and without the right latent, range of the log std."""
+"""What the training is judged by: active units, and reconstruction with and without the right latent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from embodied_active_learning.model.objective import Batch
 class Evaluation:
     """The model on a fixed subset of the observations. Errors are mean squared errors of pixels in [0, 1].
 
-    mse_own: each image from its own latent; mse_shuffled: from another's; mse_without: from the prior's mean, z = 0.
+    mse_own: each image from its own latent; mse_shuffled: from another's; mse_none: from the prior's mean, z = 0.
     """
 
     update: int
@@ -23,15 +23,15 @@ class Evaluation:
     active_units: int
     mse_own: float
     mse_shuffled: float
-    mse_without: float
+    mse_none: float
     log_std_min: float
     log_std_max: float
 
 
 def active_units(latent_means: torch.Tensor, threshold: float) -> int:
-    """Number of latents whose mean varies over the batch by more than the threshold (paper, Eq. 18). latent_means: (B, L).
+    """Number of latents whose mean varies by more than the threshold (paper, Sec. 4, active units).
 
-    The variance is the unbiased one.
+    What varies is the unbiased variance over the batch. latent_means: (B, L).
     """
     return int((latent_means.var(dim=0, unbiased=True) > threshold).sum())
 
@@ -59,5 +59,5 @@ def evaluate_model(network: ConditionalVAE, subset: Batch, threshold: float) -> 
         "active_units": active_units(latents, threshold),
         "mse_own": reconstruction_error(network, latents, subset),
         "mse_shuffled": reconstruction_error(network, latents.roll(1, dims=0), subset),
-        "mse_without": reconstruction_error(network, torch.zeros_like(latents), subset),
+        "mse_none": reconstruction_error(network, torch.zeros_like(latents), subset),
     }

@@ -50,7 +50,7 @@ def kl_divergence(latent: LatentGaussian) -> torch.Tensor:
 def weigh(
     reconstruction: torch.Tensor, conditional: torch.Tensor, latent: LatentGaussian, beta: float, gamma: float
 ) -> Loss:
-    """L = RC + beta KL + gamma RC_cond, to be minimised (paper, Eq. 17 with its sign turned)."""
+    """L = RC + beta KL + gamma RC_cond, to be minimised (paper, Sec. 4, loss formulation, with its sign turned)."""
     kl = kl_divergence(latent)
     total = reconstruction + beta * kl + gamma * conditional
     return Loss(total, reconstruction, conditional, kl, latent.mean)
@@ -61,7 +61,7 @@ def plain_loss(network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: 
 
     noise: (B, L) standard normal. The conditional term decodes the same z_i, encoded from (x_i, y_i), at the other
     batch's state and compares it with the other batch's image: what the decoder should say where it cannot know
-    (paper, Eq. 17, hatted quantities).
+    (paper, Sec. 4, loss formulation, hatted quantities).
     """
     size = len(noise)
     latent = network.encode(pair.states[:size], pair.images[:size])

@@ -22,11 +22,12 @@ class Observations(Protocol):
 
 
 class BatchReader:
-    """Gathers observations by index. On a GPU the images are kept there, so that a batch costs no transfer."""
+    """Gathers observations by index; with `keep`, images stay on the device so that a batch costs no transfer."""
 
-    def __init__(self, observations: Observations, device: torch.device) -> None:
+    def __init__(self, observations: Observations, device: torch.device, keep: bool) -> None:
         self._observations = observations
         self._device = device
+        self._keep = keep
         self._buffer = np.empty(0, np.uint8)
         self._cache: Optional[torch.Tensor] = None
         self._cached = 0
@@ -41,8 +42,8 @@ class BatchReader:
         return self.read(np.array([len(self._observations) - 1]))
 
     def _images(self, indices: np.ndarray) -> torch.Tensor:
-        if self._device.type == "cpu":
-            return torch.from_numpy(self._copy_to_buffer(indices))
+        if not self._keep:
+            return torch.from_numpy(self._copy_to_buffer(indices)).to(self._device)
         self._extend_cache(len(self._observations))
         return self._cache[torch.from_numpy(indices).to(self._device)]
 
@@ -63,5 +64,5 @@ class BatchReader:
                 grown[: self._cached] = self._cache[: self._cached]
             self._cache = grown
         if self._cached < count:
-            self._cache[self._cached : count] = torch.from_numpy(np.ascontiguousarray(images[self._cached : count]))
+            self._cache[self._cached : count] = torch.from_numpy(np.array(images[self._cached : count]))
             self._cached = count

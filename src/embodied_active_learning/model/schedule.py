@@ -15,7 +15,8 @@ from embodied_active_learning.config import ObjectiveConfig
 def beta_from_log_std(log_std: np.ndarray, coverage: float, chi: float, beta_max: float) -> float:
     """Weight of the latent regularisation (paper, Alg. 1, line 13): log10 beta = -log10 min(h / max h) - chi, clamped.
 
-    log_std: (S,) of the decoder at workspace samples; h = std^k (paper, Eq. 16; per-pixel entropy), k: coverage in [0, 1].
+    log_std: (S,) of the decoder at workspace samples; k: coverage; h = std^k, with the entropy of one pixel
+    (paper, Sec. 4, control formulation).
     """
     spread = coverage * float(np.max(log_std) - np.min(log_std))
     exponent = min(spread / math.log(10.0) - chi, sys.float_info.max_10_exp)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian
 
 CHUNK = 64
 
@@ -29,21 +29,29 @@ class Snapshot:
         with self._lock, torch.inference_mode():
             return self._network.log_std(self._tensor(latent), self._tensor(states)).cpu().numpy()
 
-    def encode(self, states: np.ndarray, images: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-        """q(z | x, y): mean and std, (B, L) float32 each.
+    def conditional_log_std(self, states: np.ndarray, state: np.ndarray, image: np.ndarray) -> Tuple[np.ndarray, int]:
+        """Log standard deviation predicted at states (S, D), given the mean latent of one observation.
+
+        state: (D,) normalised, image: (H, W, 3) uint8 -> (S,) float32, and the updates of the model that answers.
+        """
+        self._check(state[np.newaxis], image[np.newaxis])
+        with self._lock, torch.inference_mode():
+            latent = self._latent(state[np.newaxis], image[np.newaxis]).mean[0]
+            return self._network.log_std(latent, self._tensor(states)).cpu().numpy(), self.updates
+
+    def encode(self, states: np.ndarray, images: np.ndarray) -> Tuple[np.ndarray, np.ndarray, int]:
+        """q(z | x, y): mean and std, (B, L) float32 each, and the updates of the model that answers.
 
         states: (B, D) normalised; images: (B, H, W, 3) uint8, or (1, H, W, 3), which is then encoded only once.
         Raises ObservationError for images of another shape or type than the model was built for.
         """
         self._check(states, images)
         with self._lock, torch.inference_mode():
-            parts = [torch.from_numpy(np.ascontiguousarray(images[i : i + CHUNK])) for i in range(0, len(images), CHUNK)]
-            features = torch.cat([self._network.image_features(part.to(self._device)) for part in parts])
-            latent = self._network.encode_features(self._tensor(states), features)
-            return latent.mean.cpu().numpy(), latent.std.cpu().numpy()
+            latent = self._latent(states, images)
+            return latent.mean.cpu().numpy(), latent.std.cpu().numpy(), self.updates
 
     def copy_from(self, network: ConditionalVAE, updates: int, wait: bool = False) -> bool:
-        """Take over the weights of the network, into the memory at hand. False if a reader is busy and wait is not set."""
+        """Take over the weights, into the memory at hand. False, at once, if a reader is busy and wait is not set."""
         if not self._lock.acquire(blocking=wait):
             return False
         try:
@@ -55,6 +63,11 @@ class Snapshot:
             self._lock.release()
         return True
 
+    def _latent(self, states: np.ndarray, images: np.ndarray) -> LatentGaussian:
+        parts = torch.from_numpy(np.array(images)).split(CHUNK)
+        features = torch.cat([self._network.image_features(part.to(self._device)) for part in parts])
+        return self._network.encode_features(self._tensor(states), features)
+
     def _tensor(self, values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)).to(self._device)
 
@@ -62,7 +75,7 @@ class Snapshot:
         expected = (*self._network.image_size, 3)
         if images.dtype != np.uint8 or images.shape[1:] != expected:
             raise ObservationError(
-                f"images are {images.dtype} {images.shape}, the model was built for uint8 (B, {expected[0]}, {expected[1]}, 3)"
+                f"images are {images.dtype} {images.shape}, the model was built for uint8 (B, *{expected})"
             )
         if len(images) not in (1, len(states)):
             raise ObservationError(f"{len(images)} images for {len(states)} states: give one each, or one for all")

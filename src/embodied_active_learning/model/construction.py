@@ -1,0 +1,47 @@
+"""The parts of a learner, made for a configuration and for the machine that it runs on."""
+
+from __future__ import annotations
+
+from typing import Callable, Tuple
+
+import torch
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.model.cvae import ConditionalVAE, initialise
+from embodied_active_learning.model.fast import fastest_loss
+from embodied_active_learning.model.objective import Loss, plain_loss
+
+LossFunction = Callable[..., Loss]
+
+
+def choose_device(name: str) -> torch.device:
+    """The device for "auto", "cpu" or "cuda". Raises ConfigError for cuda where there is none."""
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise ConfigError("training/device is 'cuda' but torch sees no CUDA device here: use auto or cpu")
+    return torch.device("cuda" if available and name != "cpu" else "cpu")
+
+
+def choose_loss(network: ConditionalVAE, device: torch.device) -> Tuple[LossFunction, str]:
+    """The fastest way to compute the loss on the device, and in words what it is and why."""
+    return (plain_loss, f"torch on {device}") if device.type != "cpu" else fastest_loss(network)
+
+
+def build_network(config: Config, seed: int) -> ConditionalVAE:
+    """The network of a run, initialised from the seed alone; on the CPU."""
+    # Made without memory first: the layers' own initialisation would draw from torch's global generator.
+    with torch.device("meta"):
+        image_size = (config.camera.height, config.camera.width)
+        network = ConditionalVAE(image_size, config.workspace.box().size, config.model)
+    network = network.to_empty(device="cpu")
+    initialise(network, torch.Generator().manual_seed(seed))
+    return network
+
+
+def build_optimiser(network: ConditionalVAE, learning_rate: float) -> torch.optim.Adam:
+    """Adam as the paper has it, in one pass over the weights where torch can do so."""
+    try:
+        return torch.optim.Adam(network.parameters(), learning_rate, fused=True)
+    except RuntimeError:  # a torch without fused kernels for this device
+        return torch.optim.Adam(network.parameters(), learning_rate)

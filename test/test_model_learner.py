@@ -1,0 +1,311 @@
+"""The learner: repeatable, resumable, never ahead of its data, and answering questions while it learns."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+import torch
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError
+from embodied_active_learning.model.construction import choose_device
+from embodied_active_learning.model.learner import DivergenceError, Learner
+
+SMALL = {
+    "camera": {"width": 45, "height": 45},
+    "training": {"batch_size": 8, "first_update_at": 8, "device": "cpu", "evaluation_size": 20},
+    "exploration": {"samples": 50, "fresh_samples": 10, "steps": 40},
+    "objective": {"schedule_every": 2},
+}
+
+
+class GrowingStore:
+    """Observations in memory whose arrays move with every one that is added."""
+
+    def __init__(self, count, image_size=(45, 45)):
+        random = np.random.default_rng(5)
+        self._states = random.uniform(-1, 1, (200, 3)).astype(np.float32)
+        self._images = random.integers(0, 256, (200, *image_size, 3), dtype=np.uint8)
+        self.count = count
+
+    def __len__(self):
+        return self.count
+
+    @property
+    def states(self):
+        return self._states[: self.count].copy()
+
+    @property
+    def images(self):
+        images = self._images[: self.count].copy()
+        images.setflags(write=False)
+        return images
+
+
+def make(count=30, seed=0, **sections):
+    values = {name: {**SMALL.get(name, {}), **sections.get(name, {})} for name in {**SMALL, **sections}}
+    return Learner(Config.from_dict(values), GrowingStore(count), seed)
+
+
+def weights(learner):
+    return torch.cat([parameter.detach().flatten() for parameter in learner.network.parameters()])
+
+
+def test_an_update_reports_the_loss_with_its_terms():
+    report = make().update()
+    expected = report.reconstruction + report.beta * report.kl + report.gamma * report.conditional_reconstruction
+    assert report.loss == pytest.approx(expected, rel=1e-5)
+    assert (report.update, report.observations) == (1, 30)
+    assert 0.0 < report.coverage < 1.0
+    assert report.gamma == pytest.approx(0.1 * report.coverage)
+    assert report.log_std_min < report.log_std_max
+    assert 0 <= report.active_units <= 16
+
+
+def test_training_lowers_the_loss():
+    learner = make()
+    losses = [learner.update().loss for _ in range(30)]
+    assert losses[-1] < losses[0] - 0.3
+
+
+def test_one_seed_gives_one_result_and_another_seed_another():
+    first, second, other = make(), make(), make(seed=1)
+    for learner in (first, second, other):
+        for _ in range(4):
+            learner.update()
+    assert torch.equal(weights(first), weights(second))
+    assert not torch.equal(weights(first), weights(other))
+
+
+def test_learning_neither_reads_nor_moves_global_random_generators():
+    torch.manual_seed(1)
+    np.random.seed(1)  # noqa: NPY002
+    before = torch.random.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    learner = make()
+    learner.update()
+    learner.evaluate()
+    assert torch.equal(before[0], torch.random.get_rng_state())
+    assert np.array_equal(before[1], np.random.get_state()[1])  # noqa: NPY002
+
+
+def test_saved_and_restored_training_goes_on_bit_for_bit():
+    straight, broken = make(), make()
+    for _ in range(3):
+        straight.update()
+        broken.update()
+    tensors, counters = broken.state()
+    resumed = make(seed=9)
+    resumed.restore(tensors, json.loads(json.dumps(counters)))
+    for _ in range(3):
+        assert straight.update() == resumed.update()
+    assert torch.equal(weights(straight), weights(resumed))
+    for one, other in zip(straight.state()[0].values(), resumed.state()[0].values()):
+        assert torch.equal(one, other)
+
+
+def test_a_learner_that_has_not_begun_can_be_saved_and_restored():
+    first, second = make(), make(seed=9)
+    second.restore(*first.state())
+    assert first.update() == second.update()
+
+
+def test_the_saved_state_is_a_copy_that_further_updates_leave_alone():
+    learner = make()
+    learner.update()
+    tensors, _ = learner.state()
+    kept = {name: tensor.clone() for name, tensor in tensors.items()}
+    learner.update()
+    assert all(torch.equal(tensors[name], kept[name]) for name in kept)
+
+
+def test_a_checkpoint_of_another_model_is_refused_by_the_tensors_name():
+    learner = make(model={"latent_size": 8})
+    with pytest.raises(ConfigError, match=r"network/encoder\.4\.weight"):
+        make().restore(*learner.state())
+
+
+def test_a_checkpoint_without_a_tensor_or_a_counter_is_refused_by_its_name():
+    learner = make()
+    tensors, counters = learner.state()
+    with pytest.raises(CorruptFileError, match="generator"):
+        learner.restore(tensors, {name: value for name, value in counters.items() if name != "generator"})
+    del tensors["adam/step"]
+    with pytest.raises(CorruptFileError, match="adam/step"):
+        learner.restore(tensors, counters)
+
+
+def test_a_batch_holds_no_observation_twice():
+    learner = make(count=8)
+    read = []
+    learner._reader.read = lambda indices, read_batch=learner._reader.read: read.append(indices) or read_batch(indices)
+    learner.updates = 1
+    learner.update()
+    assert sorted(read[0][:8]) == sorted(read[0][8:]) == list(range(8))
+
+
+def test_observations_that_arrive_between_updates_are_used():
+    learner = make(count=8)
+    assert learner.update().observations == 8
+    learner._observations.count = 150
+    assert learner.update().observations == 150
+
+
+def test_the_schedule_is_evaluated_only_every_so_many_updates():
+    learner = make()
+    coverages = []
+    for count in (10, 20, 30, 35):
+        learner._observations.count = count
+        coverages.append(learner.update().coverage)
+    assert coverages[0] == coverages[1] != coverages[2] == coverages[3]
+
+
+def test_a_non_finite_loss_is_skipped_and_counted_and_changes_no_weight():
+    learner = make()
+    learner.update()
+    plain, calls = learner._loss, []
+
+    def sometimes_broken(*arguments):
+        calls.append(weights(learner))
+        loss = plain(*arguments)
+        return loss._replace(total=loss.total * float("nan")) if len(calls) <= 2 else loss
+
+    learner._loss = sometimes_broken
+    report = learner.update()
+    assert (report.update, learner.skipped) == (2, 2)
+    assert np.isfinite(report.loss)
+    assert torch.equal(calls[0], calls[2])
+
+
+def test_five_non_finite_losses_in_a_row_are_an_error():
+    learner = make()
+    with torch.no_grad():
+        learner.network.decoder[0].bias[0] = float("nan")
+    with pytest.raises(DivergenceError, match="5 batches"):
+        learner.update()
+    assert (learner.updates, learner.skipped, learner.schedule.rejected) == (0, 5, 1)
+
+
+def test_evaluating_does_not_change_the_training():
+    looked, straight = make(), make()
+    for _ in range(3):
+        looked.evaluate()
+        assert looked.update() == straight.update()
+
+
+def test_an_evaluation_compares_own_shuffled_and_missing_latents():
+    learner = make()
+    for _ in range(3):
+        learner.update()
+    evaluation = learner.evaluate()
+    assert (evaluation.update, evaluation.observations) == (3, 30)
+    assert 0.0 < evaluation.mse_own < 1.0
+    assert len({evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none}) == 3
+    assert evaluation.log_std_min < evaluation.log_std_max
+
+
+def evaluated(learner, count):
+    learner._observations.count = count
+    return list(learner._evaluation_indices())
+
+
+def test_the_evaluated_subset_only_grows_until_it_is_complete():
+    learner = make()
+    whole = evaluated(learner, 40)
+    assert len(set(whole)) == 20
+    for count in range(10, 41):
+        found = evaluated(learner, count)
+        assert found == [index for index in whole if index < count]
+        assert len(found) >= 2
+    assert evaluated(learner, 200) == whole
+    assert evaluated(make(seed=1), 40) != whole
+
+
+def test_before_two_of_the_subset_are_there_the_newest_two_observations_are_evaluated():
+    learner = make(training={"evaluation_size": 2})
+    last = max(evaluated(learner, 40))
+    assert evaluated(learner, last) == [last - 2, last - 1]
+    assert evaluated(learner, last + 1) != [last - 1, last]
+    assert evaluated(learner, 1) == [0]
+
+
+def test_the_schedule_takes_the_coverage_that_the_planner_takes():
+    ours, theirs = (make(8, exploration={"authors_coverage": authors}).update().coverage for authors in (False, True))
+    assert theirs > 1.02 * ours  # divided by the largest kernel
+
+
+def test_the_snapshot_answers_as_the_network_did_when_it_was_refreshed():
+    learner = make()
+    learner.update()
+    assert learner.refresh()
+    assert learner.snapshot.updates == 1
+    states, latent = np.random.default_rng(0).uniform(-1, 1, (9, 3)), np.linspace(-1, 1, 16)
+    expected = learner.network.log_std(torch.tensor(latent).float(), torch.tensor(states).float()).detach().numpy()
+    learner.update()
+    assert np.allclose(learner.snapshot.log_std(states, latent), expected, atol=1e-6)
+    assert learner.snapshot.updates == 1
+
+
+def test_entropy_given_an_observation_is_that_given_its_latent():
+    learner, store = make(), GrowingStore(70)
+    states = np.random.default_rng(0).uniform(-1, 1, (9, 3))
+    latent = learner.snapshot.encode(store.states[:1], store.images[:1])[0][0]
+    values, updates = learner.snapshot.conditional_log_std(states, store.states[0], store.images[0])
+    assert np.allclose(values, learner.snapshot.log_std(states, latent), atol=1e-6)
+    assert updates == 0
+
+
+def test_the_snapshot_encodes_an_image_for_each_state_or_one_for_all():
+    snapshot, store = make().snapshot, GrowingStore(70)
+    mean, std, updates = snapshot.encode(store.states, store.images)
+    assert updates == 0
+    assert mean.shape == std.shape == (70, 16)
+    shared, _, _ = snapshot.encode(store.states, store.images[:1])
+    assert np.allclose(shared[0], mean[0], atol=1e-6)
+    assert np.all(std > 0.0)
+
+
+@pytest.mark.parametrize("shape", [(1, 44, 45, 3), (45, 45, 3), (2, 45, 45, 3)])
+def test_the_snapshot_refuses_images_of_another_shape(shape):
+    with pytest.raises(ObservationError, match="images"):
+        make().snapshot.encode(np.zeros((3, 3)), np.zeros(shape, np.uint8))
+
+
+def test_a_busy_reader_makes_a_refresh_give_up_at_once_unless_it_may_wait():
+    learner = make()
+    learner.update()
+    with learner.snapshot._lock:
+        assert not learner.refresh()
+        waiting = threading.Thread(target=learner.refresh, kwargs={"wait": True})
+        waiting.start()
+        assert learner.snapshot.updates == 0
+    waiting.join(10.0)
+    assert learner.snapshot.updates == 1
+
+
+def test_readers_in_other_threads_see_whole_snapshots_while_learning_goes_on():
+    learner = make()
+    states, latent = np.zeros((4, 3)), np.zeros(16)
+    answers, done = set(), threading.Event()
+
+    def read():
+        while not done.is_set():
+            answers.add(float(learner.snapshot.log_std(states, latent)[0]))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    legal = {float(learner.snapshot.log_std(states, latent)[0])}
+    for _ in range(5):
+        learner.update()
+        learner.refresh(wait=True)
+        legal.add(float(learner.snapshot.log_std(states, latent)[0]))
+    done.set()
+    reader.join(10.0)
+    assert answers <= legal
+
+
+def test_cuda_is_refused_where_there_is_none(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ConfigError, match="training/device"):
+        choose_device("cuda")
+    assert choose_device("auto") == torch.device("cpu")

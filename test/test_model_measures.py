@@ -1,0 +1,72 @@
+"""Active units and reconstruction errors."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from embodied_active_learning.config import ModelConfig
+from embodied_active_learning.model import memory
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.measures import active_units, latent_means, reconstruction_error
+from embodied_active_learning.model.objective import Batch
+from embodied_active_learning.model.observations import BatchReader
+
+
+def test_active_units_count_latents_whose_unbiased_variance_exceeds_the_threshold():
+    # variances 0.02 (0.01 with N in the denominator), 0 and 0.005
+    means = torch.tensor([[0.0, 5.0, 0.0], [0.2, 5.0, 0.1]])
+    assert active_units(means, 0.015) == 1
+    assert active_units(means, 0.004) == 2
+
+
+def test_reconstruction_error_is_the_mean_squared_pixel_error_whatever_the_chunk():
+    torch.manual_seed(0)
+    network = ConditionalVAE((45, 45), 3, ModelConfig())
+    subset = Batch(torch.rand(7, 3), torch.randint(0, 256, (7, 45, 45, 3), dtype=torch.uint8))
+    with torch.no_grad():
+        latents = latent_means(network, subset, chunk=3)
+        images, _ = network.decode(latents, subset.states)
+        expected = np.mean((subset.images.numpy() / 255.0 - images.permute(0, 2, 3, 1).numpy()) ** 2)
+        for chunk in (2, 7):
+            assert abs(reconstruction_error(network, latents, subset, chunk) - expected) < 1e-6
+
+
+def test_a_reader_on_another_device_keeps_what_it_has_seen_as_the_store_grows():
+    class Store:
+        states = np.zeros((300, 3), np.float32)
+        images = np.random.default_rng(0).integers(0, 256, (300, 5, 5, 3), dtype=np.uint8)
+        count = 10
+
+        def __len__(self):
+            return self.count
+
+    store = Store()
+    reader = BatchReader(store, torch.device("cpu"), keep=True)
+    for store.count in (10, 200, 300):
+        indices = np.array([0, 7, store.count - 1])
+        assert np.array_equal(reader.read(indices).images.numpy(), store.images[indices])
+
+
+@pytest.mark.parametrize(
+    ("largest_mmap_threshold", "trims", "both"),
+    [(2**31, True, True), (2**25, True, True), (2**24, True, False), (2**31, False, False)],
+)
+def test_freed_memory_is_kept_as_far_as_the_c_library_goes(monkeypatch, largest_mmap_threshold, trims, both):
+    switched = set()
+
+    def mallopt(switch, value):
+        accepted = value <= largest_mmap_threshold if switch == memory.M_MMAP_THRESHOLD else trims
+        switched.update({switch} if accepted else ())
+        return int(accepted)
+
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda _: SimpleNamespace(mallopt=mallopt))
+    assert memory.keep_freed_memory() is both
+    assert (memory.M_TRIM_THRESHOLD in switched) is trims
+    assert (memory.M_MMAP_THRESHOLD in switched) is (largest_mmap_threshold >= 2**25)
+
+
+def test_without_the_switches_freed_memory_is_left_to_the_c_library(monkeypatch):
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda _: SimpleNamespace())
+    assert memory.keep_freed_memory() is False

@@ -1,0 +1,156 @@
+"""The loss, by hand and against its fast stand-in."""
+
+import copy
+import math
+
+import pytest
+import torch
+
+from embodied_active_learning.config import ModelConfig
+from embodied_active_learning.model.block_images import BlockImages
+from embodied_active_learning.model.compiler import load_library
+from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian
+from embodied_active_learning.model.fast import FastLoss, fastest_loss
+from embodied_active_learning.model.kernels import Kernels
+from embodied_active_learning.model.native import NativeImages
+from embodied_active_learning.model.objective import Batch, kl_divergence, negative_log_likelihood, plain_loss, weigh
+
+LIBRARY, REASON = load_library()
+needs_compiler = pytest.mark.skipif(LIBRARY is None, reason=REASON)
+
+GEOMETRIES = [
+    ((45, 45), ModelConfig()),
+    ((52, 37), ModelConfig(hidden_sizes=(40,))),
+    ((44, 61), ModelConfig(channels=(4, 6), kernels=(4, 3), strides=(3, 3))),
+    ((44, 61), ModelConfig(channels=(4, 6, 5), kernels=(2, 5, 3), strides=(3, 3, 1))),
+    ((30, 41), ModelConfig(channels=(4,), kernels=(5,), strides=(2,))),
+]
+
+
+def make(image_size, config, size, dtype=torch.float32):
+    torch.manual_seed(0)
+    network = ConditionalVAE(image_size, 3, config).to(dtype)
+    images = torch.randint(0, 256, (2 * size, *image_size, 3), dtype=torch.uint8)
+    pair = Batch((torch.rand(2 * size, 3) * 2 - 1).to(dtype), images)
+    return network, pair, torch.randn(size, config.latent_size).to(dtype)
+
+
+def gradients(loss, network, *arguments):
+    network.zero_grad()
+    terms = loss(network, *arguments)
+    terms.total.backward()
+    return terms, [parameter.grad.clone() for parameter in network.parameters()]
+
+
+def relative_errors(found, expected):
+    return [((a.double() - b).norm() / b.norm()).item() for a, b in zip(found, expected)]
+
+
+def test_negative_log_likelihood_of_two_images_computed_by_hand():
+    images = torch.tensor([[[[1.0, 0.0]]], [[[0.5, 0.5]]]])
+    means = torch.tensor([[[[0.0, 0.0]]], [[[0.5, 0.1]]]])
+    log_std = torch.tensor([math.log(0.5), math.log(2.0)])
+    first = 0.5 * 0.5 / 0.25 + math.log(0.5)
+    second = 0.5 * 0.08 / 4.0 + math.log(2.0)
+    expected = (first + second) / 2 + 0.5 * math.log(2 * math.pi)
+    assert negative_log_likelihood(images, means, log_std).item() == pytest.approx(expected, rel=1e-6)
+
+
+def test_kl_divergence_sums_over_latents_and_averages_over_the_batch():
+    latent = LatentGaussian(torch.tensor([[1.0, 2.0], [0.0, 0.0]]), torch.tensor([[0.0, 0.0], [math.log(4.0), 0.0]]))
+    expected = ((0.5 + 2.0) + 0.5 * (4.0 - 1.0 - math.log(4.0))) / 2
+    assert kl_divergence(latent).item() == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_terms_are_weighed_by_beta_and_gamma():
+    latent = LatentGaussian(torch.tensor([[2.0]]), torch.zeros(1, 1))
+    loss = weigh(torch.tensor(1.0), torch.tensor(10.0), latent, beta=0.1, gamma=0.02)
+    assert loss.total.item() == pytest.approx(1.0 + 0.1 * 2.0 + 0.02 * 10.0)
+
+
+def test_the_conditional_term_pairs_the_same_latent_with_the_other_batch_by_position():
+    network, pair, noise = make((45, 45), ModelConfig(), 3)
+    loss = plain_loss(network, pair, noise, 0.0, 0.0)
+    latent = network.encode(pair.states[:3], pair.images[:3])
+    means, log_std = network.decode(latent.mean + latent.std * noise, pair.states[3:])
+    images = pair.images[3:].permute(0, 3, 1, 2) / 255.0
+    expected = negative_log_likelihood(images, means, log_std).item()
+    assert loss.conditional_reconstruction.item() == pytest.approx(expected, rel=1e-5)
+    assert loss.total.item() == pytest.approx(loss.reconstruction.item(), rel=1e-6)
+
+
+@pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
+def test_the_loss_over_blocks_has_the_plain_gradients_to_double_precision(image_size, config):
+    network, pair, noise = make(image_size, config, 18, torch.float64)
+    arguments = (pair, noise, 1e-3, 0.07)
+    plain, expected = gradients(plain_loss, network, *arguments)
+    fast, found = gradients(FastLoss(BlockImages(network)), network, *arguments)
+    assert torch.allclose(torch.stack(fast[:4]), torch.stack(plain[:4]), rtol=1e-12)
+    assert max(relative_errors(found, expected)) < 1e-12
+
+
+def compare_in_single_precision(images, network, pair, noise):
+    double = copy.deepcopy(network).double()
+    widened = Batch(pair.states.double(), pair.images)
+    plain, expected = gradients(plain_loss, double, widened, noise.double(), 1e-3, 0.07)
+    fast, found = gradients(FastLoss(images), network, pair, noise, 1e-3, 0.07)
+    assert torch.allclose(torch.stack(fast[:4]).double(), torch.stack(plain[:4]), rtol=1e-5, atol=1e-6)
+    errors = sorted(relative_errors(found, expected))
+    assert errors[-1] < 1e-4
+    assert errors[len(errors) // 2] < 3e-6
+
+
+@needs_compiler
+@pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
+def test_the_compiled_loss_has_the_plain_gradients_at_any_geometry_and_batch_size(image_size, config):
+    network, pair, noise = make(image_size, config, 11)
+    compare_in_single_precision(NativeImages(network, Kernels(LIBRARY)), network, pair, noise)
+
+
+@needs_compiler
+def test_the_compiled_loss_is_as_exact_as_the_plain_one_at_180_pixels():
+    network, pair, noise = make((180, 180), ModelConfig(), 9)
+    compare_in_single_precision(NativeImages(network, Kernels(LIBRARY)), network, pair, noise)
+
+
+def test_the_loss_over_blocks_is_as_exact_as_the_plain_one_at_180_pixels():
+    network, pair, noise = make((180, 180), ModelConfig(), 4)
+    compare_in_single_precision(BlockImages(network), network, pair, noise)
+
+
+def test_gradients_scale_with_what_is_asked_of_the_fast_loss():
+    network, pair, noise = make((45, 45), ModelConfig(), 2)
+    fast, _ = fastest_loss(network)
+    _, once = gradients(fast, network, pair, noise, 1e-3, 0.07)
+    network.zero_grad()
+    (3.0 * fast(network, pair, noise, 1e-3, 0.07).total).backward()
+    for parameter, gradient in zip(network.parameters(), once):
+        assert torch.allclose(parameter.grad, 3.0 * gradient, rtol=1e-4, atol=1e-7)
+
+
+@needs_compiler
+def test_two_compiled_losses_in_flight_do_not_share_memory():
+    network, pair, noise = make((45, 45), ModelConfig(), 3)
+    fast = FastLoss(NativeImages(network, Kernels(LIBRARY)))
+    _, expected = gradients(fast, network, pair, noise, 1e-3, 0.07)
+    network.zero_grad()
+    waiting = fast(network, pair, noise, 1e-3, 0.07)
+    fast(network, Batch(pair.states, 255 - pair.images), noise, 1e-3, 0.07)
+    waiting.total.backward()
+    assert max(relative_errors([part.grad for part in network.parameters()], expected)) < 1e-6
+
+
+@needs_compiler
+def test_a_weight_that_is_not_a_number_shows_in_the_compiled_loss():
+    network, pair, noise = make((45, 45), ModelConfig(), 3)
+    with torch.no_grad():
+        network.image_encoder[0].weight[0, 0, 0, 0] = math.nan
+    assert math.isnan(fastest_loss(network)[0](network, pair, noise, 1e-3, 0.07).total.item())
+
+
+def test_without_a_compiler_torch_does_the_work_and_the_reason_is_told(monkeypatch, tmp_path):
+    monkeypatch.setenv("CC", str(tmp_path / "no-such-compiler"))
+    network, pair, noise = make((45, 45), ModelConfig(), 2)
+    loss, reason = fastest_loss(network)
+    assert "no C compiler" in reason
+    assert torch.isfinite(loss(network, pair, noise, 1e-3, 0.07).total)
