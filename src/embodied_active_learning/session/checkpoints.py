@@ -28,7 +28,7 @@ class Checkpoint(NamedTuple):
 def save_checkpoint(
     folder: Path, updates: int, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any], keep: int = 2
 ) -> Path:
-    """Write the checkpoint of that many updates, then delete all but the newest `keep`.
+    """Write the checkpoint of that many updates; of the others stay the `keep` - 1 before it.
 
     Counters are plain: numbers, texts, lists, dictionaries. Raises SessionError when the disk fails or a tensor is not
     finite; the earlier checkpoints are kept then.
@@ -38,8 +38,12 @@ def save_checkpoint(
     remove_leftovers(folder)
     path = folder / f"checkpoint_{updates:09d}.safetensors"
     write_tensors(path, "checkpoint", tensors, {"updates": updates, "counters": counters})
-    for old in _newest_first(folder)[keep:]:
-        old.unlink()
+    stored = _newest_first(folder)
+    # Later ones are left from before training went back to an earlier checkpoint: they were refused.
+    kept = stored[stored.index(path) :][:keep]
+    for other in stored:
+        if other not in kept:
+            other.unlink()
     return path
 
 

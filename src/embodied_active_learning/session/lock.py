@@ -5,47 +5,55 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
+import time
+from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Optional
+from typing import BinaryIO, Iterator, Optional
 
 from embodied_active_learning.errors import SessionError
+
+_TRIES = 3
+_PAUSE = 0.1  # s between two tries
 
 
 def claim(stream: BinaryIO, path: Path) -> None:
     """Lock an open file for this process until it is closed. Raises SessionError when another one has it."""
-    try:
-        fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise SessionError(f"{path} is being written by another process: end that one first") from error
+    with _named(path):
+        if not _lock(stream, fcntl.LOCK_EX):
+            raise SessionError(f"{path} is being written by another process: end that one first")
 
 
 def acquire(path: Path) -> BinaryIO:
     """Create and lock a lock file that names this process; closing it gives it back.
 
-    Raises SessionError naming the process that holds it.
+    Raises SessionError naming the process that holds it, or the file when it cannot be locked.
     """
-    stream = path.open("a+b")
-    try:
-        fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        stream.close()
-        raise SessionError(in_use(path.parent, _name_in(path))) from error
-    stream.truncate(0)
-    stream.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
-    stream.flush()
+    with _named(path):
+        stream = path.open("a+b")
+        try:
+            if not _lock_patiently(stream):
+                raise SessionError(in_use(path.parent, _name_in(path)))
+            stream.truncate(0)
+            stream.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
+            stream.flush()
+        except BaseException:
+            stream.close()
+            raise
     return stream
 
 
 def holder(path: Path) -> Optional[str]:
-    """Who holds a lock file, such as "process 12 on robot"; None when it is free. Creates nothing."""
-    try:
-        with path.open("rb") as stream:
-            fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except FileNotFoundError:
-        return None
-    except BlockingIOError:
-        return _name_in(path)
-    return None
+    """Who holds a lock file, such as "process 12 on robot"; None when it is free. Creates nothing.
+
+    Raises SessionError naming the file when that cannot be told.
+    """
+    with _named(path):
+        try:
+            stream = path.open("rb")
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        with stream:
+            return None if _lock(stream, fcntl.LOCK_SH) else _name_in(path)
 
 
 def in_use(folder: Path, who: str) -> str:
@@ -56,3 +64,30 @@ def in_use(folder: Path, who: str) -> str:
 def _name_in(path: Path) -> str:
     # The holder may not have written its name yet.
     return path.read_bytes().decode("utf-8", "replace").strip() or "another process"
+
+
+def _lock_patiently(stream: BinaryIO) -> bool:
+    """Whether the file could be locked: whoever asks for its holder locks it too, for a moment."""
+    for _ in range(_TRIES - 1):
+        if _lock(stream, fcntl.LOCK_EX):
+            return True
+        time.sleep(_PAUSE)
+    return _lock(stream, fcntl.LOCK_EX)
+
+
+def _lock(stream: BinaryIO, kind: int) -> bool:
+    """Lock an open file without waiting; False when another process has locked it."""
+    try:
+        fcntl.flock(stream.fileno(), kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Turn what the system refuses, such as locks on a network drive without them, into an error naming the file."""
+    try:
+        yield
+    except OSError as error:
+        raise SessionError(f"{path} cannot be locked ({error.strerror}): choose another session/root") from error

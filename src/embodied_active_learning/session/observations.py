@@ -1,7 +1,7 @@
 """The observations of a run: an append-only file of checksummed records, and the same in memory for the learner.
 
-An observation is acknowledged only when it is on the disk. A process killed at any byte leaves at most one torn record at
-the end of the file, which was never acknowledged and is cut off when the store is opened for writing.
+An observation is acknowledged only when it is on the disk. A process killed at any byte leaves at most one torn record
+at the end of the file, which was never acknowledged and is cut off when the store is opened for writing.
 """
 
 from __future__ import annotations
@@ -59,17 +59,17 @@ class ObservationStore:
     @classmethod
     def open_for_writing(
         cls, folder: Path, workspace: Workspace, image_shape: Sequence[int], capacity: int = 0
-    ) -> "ObservationStore":
+    ) -> ObservationStore:
         """Create the store or go on with it; capacity is how many observations are expected.
 
-        Raises CorruptFileError for a damaged store, SessionError when another process writes it, ObservationError when it
-        holds images of another shape.
+        Raises CorruptFileError for a damaged store, SessionError when another process writes it, ObservationError when
+        it holds images of another shape.
         """
         layout = _own_layout(Path(folder), tuple(image_shape))
         return cls(Path(folder), layout, workspace, writable=True, capacity=capacity)
 
     @classmethod
-    def open_read_only(cls, folder: Path, workspace: Workspace) -> "ObservationStore":
+    def open_read_only(cls, folder: Path, workspace: Workspace) -> ObservationStore:
         """What is stored at this moment. Never writes, so a running session can be looked at.
 
         Raises CorruptFileError for a damaged store, SessionError when there is none.
@@ -131,7 +131,7 @@ class ObservationStore:
             self._writable = False
             self._file.close()
 
-    def __enter__(self) -> "ObservationStore":
+    def __enter__(self) -> ObservationStore:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -192,6 +192,7 @@ def _own_layout(folder: Path, image_shape: Tuple[int, ...]) -> RecordLayout:
     path, data = folder / LAYOUT_FILE, folder / DATA_FILE
     if not path.exists() and not data.exists():
         folder.mkdir(parents=True, exist_ok=True)
+        sync_folder(folder.parent)
         RecordLayout(image_shape).save(path)
     layout = RecordLayout.load(path)
     if layout.image_shape != image_shape:

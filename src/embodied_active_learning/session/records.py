@@ -72,7 +72,7 @@ class RecordLayout:
         write_text(path, json.dumps(content, indent=2) + "\n")
 
     @classmethod
-    def load(cls, path: Path) -> "RecordLayout":
+    def load(cls, path: Path) -> RecordLayout:
         """Read a layout. Raises CorruptFileError naming the file, the field and what was expected."""
         content = _read_json(path)
         _expect(path, content, "format", FORMAT)

@@ -1,0 +1,49 @@
+"""Whether the disk has room for a run, asked before the run rather than found out at its end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.session.records import RecordLayout
+
+SPARE_BYTES = 200_000_000
+_BYTES_PER_WEIGHT = 4
+_COPIES_WITH_OPTIMISER = 3
+
+
+def check_space(folder: Path, config: Config, stored_bytes: int = 0) -> None:
+    """Raise SessionError unless the folder can be written and has room for the run, less what is stored already."""
+    needed = max(estimate_bytes(config) - stored_bytes, 0) + SPARE_BYTES
+    existing = next(parent for parent in (folder, *folder.parents) if parent.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+        raise SessionError(f"{folder} cannot be created or written below {existing}: choose another session/root")
+    free = shutil.disk_usage(existing).free
+    if free < needed:
+        raise SessionError(
+            f"{folder} needs about {needed / 1e9:.1f} GB for {config.exploration.steps} observations of "
+            f"{config.camera.width} x {config.camera.height} px, but {free / 1e9:.1f} GB are free: free some, set "
+            "session/root to another disk, or lower exploration/steps"
+        )
+
+
+def estimate_bytes(config: Config) -> int:
+    """About how many bytes a whole run stores: its observations, its checkpoints and its model."""
+    record = RecordLayout((config.camera.height, config.camera.width, 3)).size
+    model = _BYTES_PER_WEIGHT * _estimate_weights(config)
+    # One more than are kept, because a new checkpoint is whole before an old one goes.
+    checkpoints = (config.training.checkpoints_kept + 1) * _COPIES_WITH_OPTIMISER * model
+    return config.exploration.steps * record + checkpoints + model
+
+
+def _estimate_weights(config: Config) -> int:
+    """Weights of the fully connected layers, encoder and decoder; the convolutions have next to none."""
+    height, width = config.camera.height, config.camera.width
+    for stride in config.model.strides:
+        height, width = -(-height // stride), -(-width // stride)
+    features = config.model.channels[-1] * height * width
+    sizes = (features, *config.model.hidden_sizes, 2 * config.model.latent_size)
+    return 2 * sum(inputs * outputs for inputs, outputs in zip(sizes, sizes[1:]))

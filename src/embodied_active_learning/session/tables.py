@@ -1,0 +1,142 @@
+"""The CSV tables of a run: one row as things happen, cut back on resume, readable while they grow."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import errno
+import io
+import os
+from pathlib import Path
+from typing import Any, Dict, List, Sequence, Tuple
+
+import numpy as np
+
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.session import lock
+from embodied_active_learning.session.atomic import write_bytes
+
+# fmt: off
+COLUMNS: Dict[str, Tuple[str, ...]] = {
+    "exploration": (
+        "step", "time", "x", "y", "theta", "ergodic_measure", "coverage", "distance", "turning", "effort",
+    ),
+    "training": (
+        "update", "observations", "loss", "reconstruction", "conditional_reconstruction", "kl", "beta", "gamma",
+        "coverage", "active_units", "log_std_min", "log_std_max",
+    ),
+    "evaluation": (
+        "update", "observations", "active_units", "mse_own", "mse_shuffled", "mse_none", "log_std_min", "log_std_max",
+    ),
+}
+# fmt: on
+
+
+class Table:
+    """A CSV file of numbers that is appended to. One writer, which holds the file's lock."""
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        self.path = Path(path)
+        self.columns = tuple(columns)
+        self._open()
+
+    def append(self, row: Any) -> None:
+        """Write one row at once: a mapping or a dataclass of numbers. A column that it lacks becomes NaN.
+
+        Raises SessionError when it has one that does not exist, or when the disk fails.
+        """
+        values = dataclasses.asdict(row) if dataclasses.is_dataclass(row) else dict(row)
+        unknown = [name for name in values if name not in self.columns]
+        if unknown:
+            raise SessionError(f"{self.path} has no column {unknown[0]}: there are {', '.join(self.columns)}")
+        self._write(",".join(_text(values.get(name)) for name in self.columns))
+
+    def truncate_after(self, column: str, value: float) -> None:
+        """Drop the rows whose column is larger than value: they came after the point a run goes on from."""
+        kept = [row for row in _rows(self.path, self.columns) if _number(row[self.columns.index(column)]) <= value]
+        self.close()
+        write_bytes(self.path, "".join(",".join(row) + "\n" for row in [self.columns, *kept]).encode("utf-8"))
+        self._open()
+
+    def close(self) -> None:
+        """Close the file and give its lock back."""
+        self._stream.close()
+
+    def __enter__(self) -> Table:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _open(self) -> None:
+        """Open the file behind its last whole row."""
+        self.path.touch()
+        self._stream = self.path.open("r+b", buffering=0)
+        try:
+            lock.claim(self._stream, self.path)
+            content = self._stream.read()
+            whole = content.rfind(b"\n") + 1
+            self._stream.truncate(whole)
+            self._stream.seek(whole)
+            if whole:
+                _rows(self.path, self.columns)
+            else:
+                self._write(",".join(self.columns))
+        except BaseException:
+            self.close()
+            raise
+
+    def _write(self, line: str) -> None:
+        content, end = (line + "\n").encode("utf-8"), self._stream.tell()
+        try:
+            if self._stream.write(content) < len(content):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            # Half a row would be glued to the next one.
+            self._stream.truncate(end)
+            self._stream.seek(end)
+            raise SessionError(f"{self.path} cannot be written ({error.strerror}): free some disk space") from error
+
+
+def read_table(path: Path, columns: Sequence[str]) -> Dict[str, np.ndarray]:
+    """Each column as (N,) float64. A last line that is not complete is left out; no file is an empty table.
+
+    Raises CorruptFileError naming the file and the line.
+    """
+    path = Path(path)
+    rows = _rows(path, columns) if path.exists() else []
+    values = np.array([[_number(text) for text in row] for row in rows], dtype=np.float64).reshape(-1, len(columns))
+    return {name: values[:, index] for index, name in enumerate(columns)}
+
+
+def _rows(path: Path, columns: Sequence[str]) -> List[List[str]]:
+    """The texts of every whole row after the header."""
+    text = path.read_bytes().decode("utf-8", "replace")
+    lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
+    if not lines:
+        return []
+    if tuple(lines[0]) != tuple(columns):
+        raise CorruptFileError(f"{path}: the header is {lines[0]}, expected {list(columns)}: choose another session")
+    for number, line in enumerate(lines[1:], start=2):
+        if len(line) != len(columns) or not all(_is_number(value) for value in line):
+            raise CorruptFileError(f"{path}: line {number} is {line}, expected {len(columns)} numbers: delete it")
+    return lines[1:]
+
+
+def _text(value: Any) -> str:
+    """A number as the shortest text that reads back as the same number."""
+    if value is None:
+        return ""
+    return str(int(value)) if isinstance(value, (int, np.integer)) else repr(float(value))
+
+
+def _number(text: str) -> float:
+    return float(text) if text else float("nan")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        _number(text)
+    except ValueError:
+        return False
+    return True

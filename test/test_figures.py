@@ -1,0 +1,227 @@
+"""The figures of a session: what was on the table appears where it was, and nothing needs a display."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.figures import draw_all
+from embodied_active_learning.figures.entropy_map import entropy_maps
+from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
+from embodied_active_learning.figures.mosaic import metres_per_pixel, top_view
+from embodied_active_learning.figures.network import load_network
+from embodied_active_learning.figures.reconstructions import spread_of_images
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.session.checkpoints import save_checkpoint, save_model
+from embodied_active_learning.session.session import Session
+
+# Discs on the table, seen by nothing but these few lines: (colour, x [m], y [m], radius [m]).
+DISCS = (((220, 30, 30), 0.39, -0.10, 0.02), ((30, 60, 220), 0.55, 0.08, 0.025))
+TABLE = (200, 200, 190)
+
+
+def photograph(state, camera):
+    """What a camera at (x, y, yaw) sees of the discs: right is x turned by yaw, up is y turned by yaw."""
+    image = np.empty((camera.height, camera.width, 3), np.uint8)
+    size = 2.0 * camera.distance * math.tan(math.radians(camera.field_of_view / 2.0)) / camera.height
+    right = (np.arange(camera.width) + 0.5 - camera.width / 2.0) * size
+    up = -(np.arange(camera.height) + 0.5 - camera.height / 2.0) * size
+    right, up = np.meshgrid(right, up)
+    x = state[0] + math.cos(state[2]) * right - math.sin(state[2]) * up
+    y = state[1] + math.sin(state[2]) * right + math.cos(state[2]) * up
+    image[:] = TABLE
+    for colour, disc_x, disc_y, radius in DISCS:
+        image[np.hypot(x - disc_x, y - disc_y) < radius] = colour
+    return image
+
+
+def make_config(root, name="a", **sections):
+    values = {
+        "session": {"root": str(root), "name": name},
+        "camera": {"width": 45, "height": 45},
+        "model": {"latent_size": 4, "hidden_sizes": [32, 16]},
+        "training": {"first_update_at": 1, "batch_size": 1},
+        "exploration": {"steps": 60},
+    }
+    return Config.from_dict({**values, **sections})
+
+
+def make_session(root, name="a", count=60, **sections):
+    """A session as a run leaves it, but with made-up numbers and a network that learned nothing."""
+    config = make_config(root, name, **sections)
+    random = np.random.default_rng(config.exploration.seed)
+    states = config.workspace.box().denormalise(random.uniform(-1.0, 1.0, (count, 3)))
+    with contextlib.ExitStack() as opened:
+        session = opened.enter_context(Session.open_for_writing(config))
+        store = opened.enter_context(session.open_observations())
+        exploration, training = (opened.enter_context(session.open_table(name)) for name in ("exploration", "training"))
+        for index, state in enumerate(states):
+            store.append(index, 0.2 * index, state, photograph(state, config.camera))
+            exploration.append({"step": index, "ergodic_measure": 3.0 / (1 + index)})
+            row = {"update": index + 1, "loss": -0.01 * index, "beta": 1e-4, "gamma": 0.05, "active_units": 3}
+            training.append(row)
+    return Session.open_read_only(root / name)
+
+
+def make_network(config):
+    torch.manual_seed(0)
+    return ConditionalVAE((config.camera.height, config.camera.width), 3, config.model)
+
+
+def assert_picture(path, width):
+    picture = cv2.imread(str(path))
+    assert picture.shape[1] == width
+    assert picture.std() > 10.0
+
+
+def middle_of(view, colour):
+    """Mean place (x, y) [m] of the pixels that are nearer to a colour than to the table."""
+    distance = np.abs(view.pixels.astype(int) - colour).sum(axis=2)
+    rows, columns = np.nonzero((distance < 100) & view.seen)
+    left, right, bottom, top = view.extent
+    x = left + (columns.mean() + 0.5) / view.pixels.shape[1] * (right - left)
+    return x, top - (rows.mean() + 0.5) / view.pixels.shape[0] * (top - bottom)
+
+
+@pytest.mark.parametrize(("width", "height"), [(45, 45), (60, 40)])
+def test_mosaic_shows_each_disc_within_two_millimetres_of_where_it_lies(tmp_path, width, height):
+    config = make_config(tmp_path, camera={"width": width, "height": height, "field_of_view": 35.0, "distance": 0.25})
+    workspace = config.workspace.box()
+    states = workspace.denormalise(np.random.default_rng(0).uniform(-1, 1, (150, 3)))
+    images = np.stack([photograph(state, config.camera) for state in states])
+    view = top_view(images, states, config.camera, workspace)
+    for colour, x, y, _ in DISCS:
+        assert middle_of(view, colour) == pytest.approx((x, y), abs=0.002)
+
+
+def test_mosaic_marks_what_no_image_shows_as_unseen(tmp_path):
+    config = make_config(tmp_path)
+    state = np.array([0.39, -0.10, 0.0])
+    view = top_view(photograph(state, config.camera)[None], state[None], config.camera, config.workspace.box())
+    side = 45 * metres_per_pixel(config.camera)
+    left, right, bottom, top = view.extent
+    assert view.seen.mean() == pytest.approx(side**2 / ((right - left) * (top - bottom)), rel=0.1)
+    assert middle_of(view, DISCS[0][0]) == pytest.approx((0.39, -0.10), abs=0.002)
+
+
+def test_mosaic_of_no_images_is_empty(tmp_path):
+    config = make_config(tmp_path)
+    images, states = np.empty((0, 45, 45, 3), np.uint8), np.empty((0, 3))
+    assert not top_view(images, states, config.camera, config.workspace.box()).seen.any()
+
+
+def test_pixel_at_30_degrees_from_30_cm_is_nine_tenths_of_a_millimetre():
+    # 2 * 0.3 m * tan(15 degrees) = 160.8 mm over 180 pixels.
+    assert metres_per_pixel(Config().camera) == pytest.approx(0.1608 / 180, rel=1e-3)
+
+
+def test_all_figures_of_a_finished_run_are_drawn(tmp_path):
+    session = make_session(tmp_path)
+    save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60})
+    paths = draw_all(session, [("red disc", 0.39, -0.10), ("blue disc", 0.55, 0.08)])
+    assert [path.name for path in paths] == ["learning_metrics.png", "entropy.png", "reconstructions.png"]
+    for path, width in zip(paths, (672, 1472, 1600)):
+        assert path.parent == session.paths.figures
+        assert_picture(path, width)
+    assert sorted(path.name for path in session.paths.figures.iterdir()) == sorted(path.name for path in paths)
+
+
+def test_only_the_learning_metrics_are_drawn_before_there_is_a_model(tmp_path):
+    session = make_session(tmp_path, count=2)
+    assert [path.name for path in draw_all(session)] == ["learning_metrics.png"]
+
+
+def test_learning_metrics_put_seeds_of_a_world_into_one_column_and_baselines_last(tmp_path):
+    sessions = [
+        make_session(tmp_path, f"s{seed}{explorer}", 20, exploration={"seed": seed, "explorer": explorer, "steps": 20})
+        for explorer in ("random_walk", "ergodic")
+        for seed in (0, 1)
+    ]
+    assert_picture(draw_learning_metrics(tmp_path / "new" / "metrics.png", sessions), 1184)
+
+
+def test_learning_metrics_of_a_run_that_has_just_begun_are_drawn(tmp_path, recwarn):
+    session = make_session(tmp_path, count=1)
+    for name in ("training", "exploration"):
+        session.paths.table(name).unlink()
+    assert_picture(draw_learning_metrics(tmp_path / "metrics.png", [session]), 672)
+    assert [str(warning.message) for warning in recwarn] == []
+
+
+def test_learning_metrics_of_nothing_are_refused(tmp_path):
+    with pytest.raises(SessionError, match="give at least one session"):
+        draw_learning_metrics(tmp_path / "metrics.png", [])
+
+
+def test_network_comes_from_the_newest_checkpoint_while_there_is_no_model(tmp_path):
+    session = make_session(tmp_path, count=2)
+    assert load_network(session) is None
+    expected = make_network(session.config)
+    packed = {f"network/{name}": tensor for name, tensor in expected.state_dict().items()}
+    save_checkpoint(session.paths.checkpoints, 3, {**packed, "adam/step": torch.zeros(())}, {})
+    found = load_network(session).state_dict()
+    assert all(torch.equal(found[name], tensor) for name, tensor in expected.state_dict().items())
+
+
+def test_model_of_another_size_is_refused_by_its_file(tmp_path):
+    session = make_session(tmp_path, count=2)
+    other = make_network(make_config(tmp_path, model={"latent_size": 5}))
+    save_model(session.paths.model, other.state_dict(), {})
+    with pytest.raises(CorruptFileError, match=r"model\.safetensors does not fit the session's camera and model"):
+        load_network(session)
+
+
+def test_entropy_map_has_y_in_rows_and_x_in_columns(tmp_path):
+    class Slope:
+        """A network whose log std is 1 x + 10 y + 100 yaw + the latent."""
+
+        def log_std(self, latent, states):
+            return states @ torch.tensor([1.0, 10.0, 100.0]) + latent[0]
+
+    maps = entropy_maps(Slope(), torch.tensor([[1.0], [3.0]]))
+    yaws, rows, columns = maps.shape
+    assert maps.mean() == pytest.approx(2.0, abs=1e-3)
+    np.testing.assert_allclose(np.diff(maps, axis=2), 2.0 / columns, rtol=1e-2)
+    np.testing.assert_allclose(np.diff(maps, axis=1), 20.0 / rows, rtol=1e-2)
+    np.testing.assert_allclose(np.diff(maps, axis=0), 200.0 / yaws, rtol=1e-2)
+
+
+@pytest.mark.parametrize("edge", [0.2, 0.4, 0.7])
+def test_chosen_images_show_every_object_and_the_bare_table_however_much_room_they_take(edge):
+    random = np.random.default_rng(0)
+    states, images = random.uniform(-1, 1, (120, 3)), np.full((120, 12, 12, 3), 190, np.uint8)
+    images += random.integers(0, 3, (120, 1, 1, 1), dtype=np.uint8)
+    kinds = np.select([states[:, 0] < -edge, states[:, 0] > edge + 0.1], ["duck", "plant"], "table")
+    for kind, colour in (("duck", (210, 200, 90)), ("plant", (20, 60, 20))):
+        for index in np.flatnonzero(kinds == kind):  # each from a little elsewhere
+            row, column = random.integers(0, 6, 2)
+            images[index, row : row + 6, column : column + 6] = colour
+    chosen = spread_of_images(images, states, 8)
+    assert len(chosen) == 8
+    assert sorted(kinds[chosen]).count("table") == 1
+    assert {"duck", "plant"} < set(kinds[chosen])
+    assert np.all(np.diff(chosen) > 0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_of_few_or_equal_images_none_is_chosen_twice(count):
+    for images in (np.zeros((count, 12, 12, 3), np.uint8), np.eye(count, 432, dtype=np.uint8).reshape(-1, 12, 12, 3)):
+        chosen = spread_of_images(images, np.zeros((count, 3)), 8)
+        assert set(chosen) <= set(range(count))
+        assert 1 <= len(chosen) == len(set(chosen))
+
+
+def test_drawing_leaves_pyplot_alone():
+    program = "import sys, embodied_active_learning.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment)

@@ -1,0 +1,259 @@
+"""Checkpoints and models: the newest whole one is always found, and nothing damaged or foreign is ever believed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.torch import save
+
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.session.atomic import replace_file, write_text
+from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint, save_model
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+
+
+def tensors(value=1.0):
+    buffer = torch.arange(12, dtype=torch.float32) * value
+    return {
+        "weight": buffer[:6].reshape(2, 3),
+        "moments": buffer[6:],
+        "generator": torch.arange(5, dtype=torch.uint8),
+        "step": torch.tensor(3),
+    }
+
+
+def assert_equal(found, expected):
+    assert sorted(found) == sorted(expected)
+    for name, tensor in expected.items():
+        assert found[name].dtype == tensor.dtype
+        assert torch.equal(found[name], tensor)
+
+
+def test_checkpoint_gives_back_tensors_and_counters(tmp_path):
+    counters = {"observations": 214, "beta": [1e-4, 0.1], "draws": {"state": 2**127 + 1, "name": "PCG64"}}
+    save_checkpoint(tmp_path, 600, tensors(), counters)
+    checkpoint = load_latest(tmp_path)
+    assert (checkpoint.updates, checkpoint.counters, checkpoint.refused) == (600, counters, ())
+    assert_equal(checkpoint.tensors, tensors())
+
+
+def test_no_checkpoint_is_none(tmp_path):
+    assert load_latest(tmp_path) is None
+    assert load_latest(tmp_path / "missing") is None
+
+
+def test_the_last_checkpoints_are_kept_and_leftovers_cleaned(tmp_path):
+    (tmp_path / ".checkpoint_000000001.safetensors.77.1.tmp").write_bytes(b"half")
+    for updates in (9, 90, 900):
+        save_checkpoint(tmp_path, updates, tensors(), {}, keep=2)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["checkpoint_000000090.safetensors", "checkpoint_000000900.safetensors"]
+
+
+def test_loading_walks_back_to_the_newest_whole_checkpoint_and_says_why(tmp_path):
+    for updates in (1, 2, 3):
+        path = save_checkpoint(tmp_path, updates, tensors(updates), {"n": updates}, keep=3)
+    path.write_bytes(path.read_bytes()[:-1])
+    (tmp_path / "checkpoint_000000004.safetensors").write_bytes(b"")
+    checkpoint = load_latest(tmp_path)
+    assert checkpoint.updates == 2
+    assert_equal(checkpoint.tensors, tensors(2))
+    assert ["000000004" in checkpoint.refused[0], "000000003" in checkpoint.refused[1]] == [True, True]
+
+
+def test_checkpoint_saved_after_walking_back_replaces_the_refused_ones(tmp_path):
+    for updates in (1, 2):
+        save_checkpoint(tmp_path, updates, tensors(), {}, keep=2)
+    (tmp_path / "checkpoint_000000009.safetensors").write_bytes(b"damaged")
+    save_checkpoint(tmp_path, 3, tensors(), {}, keep=2)
+    assert sorted(path.name[18:20] for path in tmp_path.iterdir()) == ["02", "03"]
+
+
+def test_checkpoints_of_which_none_is_whole_are_an_error_not_a_fresh_start(tmp_path):
+    save_checkpoint(tmp_path, 5, tensors(), {}).write_bytes(b"damaged")
+    with pytest.raises(CorruptFileError, match=r"no checkpoint in .* can be used: .*000000005"):
+        load_latest(tmp_path)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_tensor_that_is_not_finite_never_replaces_a_good_checkpoint(tmp_path, value):
+    save_checkpoint(tmp_path, 1, tensors(), {}, keep=1)
+    with pytest.raises(SessionError, match="tensor weight holds values that are not finite"):
+        save_checkpoint(tmp_path, 2, {"weight": torch.tensor([value])}, {}, keep=1)
+    assert load_latest(tmp_path).updates == 1
+
+
+def test_model_gives_back_tensors_and_facts(tmp_path):
+    save_model(tmp_path / "model.safetensors", tensors(), {"updates": 9000})
+    found, facts = load_model(tmp_path / "model.safetensors")
+    assert_equal(found, tensors())
+    assert facts == {"updates": 9000}
+
+
+def test_flipped_bits_are_refused_or_change_nothing(tmp_path):
+    path = tmp_path / "model.safetensors"
+    save_model(path, tensors(), {"updates": 9000})
+    content = path.read_bytes()
+    for position in range(len(content)):
+        flipped = bytearray(content)
+        flipped[position] ^= 1 << (position % 8)
+        path.write_bytes(flipped)
+        try:
+            found, facts = load_model(path)
+        except CorruptFileError:
+            continue
+        assert_equal(found, tensors())
+        assert facts == {"updates": 9000}
+
+
+def test_model_cut_short_at_any_byte_is_refused(tmp_path):
+    path = tmp_path / "model.safetensors"
+    save_model(path, tensors(), {})
+    content = path.read_bytes()
+    for length in range(len(content)):
+        path.write_bytes(content[:length])
+        with pytest.raises(CorruptFileError, match="no whole safetensors file"):
+            load_model(path)
+
+
+class Canary:
+    """A pickle that touches a file when it is loaded."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (os.mkdir, (str(self.path),))
+
+
+def test_pickle_renamed_to_safetensors_is_refused_and_never_run(tmp_path):
+    canary = tmp_path / "canary"
+    for name, write in (("plain", pickle.dump), ("torch", torch.save)):
+        path = tmp_path / f"{name}.safetensors"
+        with path.open("wb") as stream:
+            write(Canary(canary), stream)
+        with pytest.raises(CorruptFileError, match=f"{name}.safetensors is no whole safetensors file"):
+            load_model(path)
+    assert not canary.exists()
+
+
+@pytest.mark.parametrize(
+    ("metadata", "field"),
+    [
+        (None, "format"),
+        ({"format": "embodied_active_learning/checkpoint"}, "format"),
+        ({"format": "embodied_active_learning/model"}, "version"),
+        ({"format": "embodied_active_learning/model", "version": "2"}, "version"),
+        ({"format": "embodied_active_learning/model", "version": "1", "facts": "{}"}, "sha256"),
+    ],
+)
+def test_file_of_another_kind_or_version_is_refused_by_field(tmp_path, metadata, field):
+    path = tmp_path / "model.safetensors"
+    path.write_bytes(save(tensors_copy(), metadata=metadata))
+    with pytest.raises(CorruptFileError, match=f"model.safetensors: {field} is"):
+        load_model(path)
+
+
+def tensors_copy():
+    return {name: tensor.clone() for name, tensor in tensors().items()}
+
+
+def test_missing_model_is_told_with_a_remedy(tmp_path):
+    with pytest.raises(CorruptFileError, match=r"model.safetensors is missing: train first"):
+        load_model(tmp_path / "model.safetensors")
+
+
+def test_write_that_fails_keeps_the_old_file_and_leaves_nothing(tmp_path):
+    path = tmp_path / "note.txt"
+    write_text(path, "old")
+
+    with contextlib.suppress(KeyError), replace_file(path) as stream:
+        stream.write(b"new")
+        raise KeyError
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_folder_that_cannot_be_written_is_a_named_error(tmp_path):
+    with pytest.raises(SessionError, match=r"note.txt cannot be written \(No such file or directory\)"):
+        write_text(tmp_path / "missing" / "note.txt", "text")
+
+
+SAVER = """
+import sys
+import torch
+from embodied_active_learning.session.checkpoints import save_checkpoint
+print("ready", flush=True)
+for updates in range(int(sys.argv[2]), 10**6):
+    save_checkpoint(sys.argv[1], updates, {"weight": torch.full((50000,), float(updates))}, {"n": updates})
+    print(updates, flush=True)
+"""
+
+
+def test_a_whole_checkpoint_is_there_after_kill_9_at_random_moments(tmp_path):
+    moments, latest = random.Random(2), 0
+    for _ in range(3):
+        command = [sys.executable, "-c", SAVER, str(tmp_path), str(latest + 1)]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT)
+        assert child.stdout.readline() == "ready\n"
+        time.sleep(moments.uniform(0.0, 0.3))
+        child.send_signal(signal.SIGKILL)
+        lines = child.stdout.read().split("\n")[:-1]
+        child.wait()
+        reported = int(lines[-1]) if lines else latest
+        checkpoint = load_latest(tmp_path)
+        latest = checkpoint.updates if checkpoint else 0
+        assert reported <= latest <= reported + 1
+        if checkpoint:
+            assert checkpoint.refused == ()
+            assert checkpoint.counters == {"n": latest}
+            assert (checkpoint.tensors["weight"] == latest).all()
+    assert latest > 0
+
+
+def test_full_disk_keeps_the_checkpoints_there_are_and_leaves_nothing_else(tmp_path):
+    script = f"""
+import resource, signal
+import torch
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.session.checkpoints import save_checkpoint
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+save_checkpoint({str(tmp_path)!r}, 1, {{"weight": torch.ones(3)}}, {{}}, keep=1)
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
+try:
+    save_checkpoint({str(tmp_path)!r}, 2, {{"weight": torch.ones(30000)}}, {{}}, keep=1)
+except SessionError as error:
+    assert "what was there before is kept" in str(error), error
+else:
+    raise AssertionError("the disk was full")
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60, env=ENVIRONMENT)
+    assert load_latest(tmp_path).updates == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    values=st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), max_size=20),
+    counters=st.dictionaries(
+        st.text(max_size=5), st.one_of(st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text())
+    ),
+)
+def test_any_finite_numbers_make_the_round_trip(tmp_path_factory, values, counters):
+    folder = tmp_path_factory.mktemp("checkpoints")
+    save_checkpoint(folder, 1, {"values": torch.tensor(values, dtype=torch.float32)}, counters)
+    checkpoint = load_latest(folder)
+    assert checkpoint.tensors["values"].tolist() == values
+    assert checkpoint.counters == counters

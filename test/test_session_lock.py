@@ -1,0 +1,66 @@
+"""Locks of sessions and their files, on file systems and beside processes that do not make it easy."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import threading
+import time
+
+import pytest
+
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.session import lock
+
+
+def claim(path):
+    with path.open("r+b") as stream:
+        lock.claim(stream, path)
+
+
+@pytest.mark.parametrize("attempt", [lock.acquire, lock.holder, claim])
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.EACCES])
+def test_file_that_cannot_be_locked_is_named_with_the_reason(tmp_path, monkeypatch, attempt, code):
+    path = tmp_path / "file"
+    path.touch()
+
+    def flock(descriptor, kind):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with pytest.raises(SessionError, match=rf"{path} cannot be locked \({os.strerror(code)}\)"):
+        attempt(path)
+
+
+def test_lock_file_that_cannot_be_opened_is_named(tmp_path):
+    for attempt in (lock.acquire, lock.holder):
+        with pytest.raises(SessionError, match=rf"{tmp_path} cannot be locked \(Is a directory\)"):
+            attempt(tmp_path)
+
+
+def test_lock_file_of_no_session_is_held_by_nobody(tmp_path):
+    (tmp_path / "file").touch()
+    assert lock.holder(tmp_path / "missing" / ".lock") is None
+    assert lock.holder(tmp_path / "file" / ".lock") is None
+
+
+def test_somebody_who_asks_for_the_holder_does_not_keep_a_session_from_being_opened(tmp_path):
+    path = tmp_path / ".lock"
+    path.touch()
+    asking = path.open("rb")
+    fcntl.flock(asking.fileno(), fcntl.LOCK_SH)
+    answered = threading.Timer(0.05, asking.close)
+    answered.start()
+    lock.acquire(path).close()
+    answered.join()
+
+
+def test_session_in_use_is_said_to_be_so_within_half_a_second(tmp_path):
+    path = tmp_path / ".lock"
+    with lock.acquire(path):
+        began = time.monotonic()
+        with pytest.raises(SessionError, match=f"in use by process {os.getpid()} on"):
+            lock.acquire(path)
+        assert time.monotonic() - began < 0.5
+    lock.acquire(path).close()

@@ -1,0 +1,158 @@
+"""The CSV tables of a session: readable at any moment, cut back on resume, never half a row in the middle."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, fields
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.model.learner import UpdateReport
+from embodied_active_learning.session.tables import COLUMNS, Table, read_table
+
+NAMES = ("step", "value")
+
+
+def write(path, rows):
+    with Table(path, NAMES) as table:
+        for step, value in rows:
+            table.append({"step": step, "value": value})
+
+
+def test_columns_of_the_tables_are_what_other_programs_read():
+    assert COLUMNS["exploration"][:6] == ("step", "time", "x", "y", "theta", "ergodic_measure")
+    assert COLUMNS["training"][:3] == ("update", "observations", "loss")
+    assert COLUMNS["evaluation"][3:6] == ("mse_own", "mse_shuffled", "mse_none")
+
+
+def test_training_table_holds_every_field_of_a_report_and_no_wall_time():
+    assert COLUMNS["training"] == tuple(field.name for field in fields(UpdateReport))
+    assert "seconds" not in COLUMNS["training"]  # it would make the tables of two equal runs differ
+
+
+def test_every_row_can_be_read_as_soon_as_it_is_appended(tmp_path):
+    path = tmp_path / "t.csv"
+    with Table(path, NAMES) as table:
+        for step in range(3):
+            table.append({"step": step, "value": step / 3})
+            assert read_table(path, NAMES)["value"].tolist() == [number / 3 for number in range(step + 1)]
+    assert path.read_text().splitlines()[:2] == ["step,value", "0,0.0"]
+
+
+def test_row_may_be_a_dataclass_and_a_missing_value_reads_as_nan(tmp_path):
+    @dataclass
+    class Row:
+        step: int
+
+    with Table(tmp_path / "t.csv", NAMES) as table:
+        table.append(Row(step=np.int64(4)))
+        table.append({"step": np.float32(0.5), "value": None})
+    found = read_table(tmp_path / "t.csv", NAMES)
+    assert found["step"].tolist() == [4.0, 0.5]
+    assert np.isnan(found["value"]).all()
+
+
+def test_column_that_does_not_exist_is_refused_with_those_that_do(tmp_path):
+    with Table(tmp_path / "t.csv", NAMES) as table, pytest.raises(
+        SessionError, match="no column valeu: there are step"
+    ):
+        table.append({"valeu": 1})
+
+
+def test_missing_or_empty_table_has_no_rows(tmp_path):
+    (tmp_path / "empty.csv").write_text("")
+    for name in ("missing.csv", "empty.csv"):
+        found = read_table(tmp_path / name, NAMES)
+        assert [found["step"].shape, found["value"].shape] == [(0,), (0,)]
+
+
+def test_line_cut_short_at_any_byte_is_left_out_and_overwritten(tmp_path):
+    path = tmp_path / "t.csv"
+    write(path, [(0, 0.25), (1, 0.5)])
+    content = path.read_bytes()
+    header = content.index(b"\n") + 1
+    second = content.index(b"\n", header) + 1
+    for length in range(len(content)):
+        path.write_bytes(content[:length])
+        whole = 0 if length < second else 1
+        assert len(read_table(path, NAMES)["step"]) == whole
+        write(path, [(number, 0.25 * (number + 1)) for number in range(whole, 2)])
+        assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("line", ["1", "1,2,3", "1,two", '1,"2'])
+def test_damaged_line_in_the_middle_is_named(tmp_path, line):
+    path = tmp_path / "t.csv"
+    path.write_text(f"step,value\n0,1\n{line}\n2,3\n")
+    with pytest.raises(CorruptFileError, match=r"t.csv: line 3"):
+        read_table(path, NAMES)
+
+
+def test_table_with_other_columns_is_refused_untouched(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("a,b\n1,2\n")
+    for attempt in (Table, read_table):
+        with pytest.raises(CorruptFileError, match=r"t.csv: the header is \['a', 'b'\], expected \['step', 'value'\]"):
+            attempt(path, NAMES)
+    assert path.read_text() == "a,b\n1,2\n"
+
+
+def test_rows_after_the_point_of_resume_are_dropped_and_it_goes_on_from_there(tmp_path):
+    path = tmp_path / "t.csv"
+    write(path, [(step, step / 7) for step in range(10)])
+    with Table(path, NAMES) as table:
+        table.truncate_after("step", 4)
+        table.append({"step": 5, "value": 9.0})
+    found = read_table(path, NAMES)
+    assert found["step"].tolist() == [0, 1, 2, 3, 4, 5]
+    assert found["value"].tolist() == [*[step / 7 for step in range(5)], 9.0]
+
+
+def test_second_writer_of_a_table_is_refused(tmp_path):
+    path = tmp_path / "t.csv"
+    with Table(path, NAMES) as table:
+        table.truncate_after("step", 0)
+        with pytest.raises(SessionError, match="being written by another process"):
+            Table(path, NAMES)
+    Table(path, NAMES).close()
+
+
+def test_rows_before_and_after_a_full_disk_are_whole(tmp_path):
+    path = tmp_path / "t.csv"
+    script = f"""
+import resource, signal
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.session.tables import Table
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+table = Table({str(path)!r}, {NAMES})
+table.append({{"step": 0, "value": 1.0}})
+resource.setrlimit(resource.RLIMIT_FSIZE, ({len("step,value|0,1.0|")} + 3, resource.RLIM_INFINITY))
+try:
+    table.append({{"step": 1, "value": 2.0}})
+except SessionError as error:
+    assert "free some disk space" in str(error), error
+else:
+    raise AssertionError("the disk was full")
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+table.append({{"step": 2, "value": 3.0}})
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60, env=environment)
+    assert path.read_text() == "step,value\n0,1.0\n2,3.0\n"
+
+
+@settings(max_examples=30, deadline=None)
+@given(values=st.lists(st.floats(), max_size=8))
+def test_any_numbers_make_the_round_trip(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("table") / "t.csv"
+    write(path, enumerate(values))
+    found = read_table(path, NAMES)["value"].tolist()
+    assert len(found) == len(values)
+    assert all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(found, values))
