@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Optional, Union
+from dataclasses import dataclass, replace
+from typing import Optional
 
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.exploration.explorers import PoseCommand, VelocityCommand, make_explorer
+from embodied_active_learning.exploration.commands import Command, VelocityCommand
+from embodied_active_learning.exploration.explorers import make_explorer
 from embodied_active_learning.exploration.samples import WorkspaceSamples
+from embodied_active_learning.exploration.streams import continued_seed
 from embodied_active_learning.exploration.target import (
     flat_distribution,
     kl_ergodic,
@@ -39,9 +41,12 @@ class ExplorationRun:
         """Begin, or go on after a trajectory (N, 3) [m, m, rad] and the effort it took."""
         self._workspace = config.workspace.box()
         visited = np.empty((0, self._workspace.size)) if trajectory is None else np.asarray(trajectory)
+        seed = continued_seed(config.exploration.seed, len(visited))
+        exploration = replace(config.exploration, seed=seed)
+        config = replace(config, exploration=exploration)
         self._samples = WorkspaceSamples(config, self._workspace.normalise(visited))
-        self._explorer = make_explorer(config.exploration.explorer, config, config.exploration.seed)
-        self._step_duration = config.exploration.step_duration
+        self._explorer = make_explorer(exploration.explorer, config, seed)
+        self._step_duration = exploration.step_duration
         self._step = len(visited)
         self._state: Optional[np.ndarray] = visited[-1] if len(visited) else None
         changes = np.diff(visited, axis=0)
@@ -103,14 +108,18 @@ class ExplorationRun:
             self._effort,
         )
 
-    def next_command(self) -> Union[VelocityCommand, PoseCommand]:
+    def interrupt(self) -> None:
+        """Tell the explorer that the arm was stopped: its plan and its idea of the velocity no longer hold."""
+        self._explorer.reset()
+        self._velocity = np.zeros(self._workspace.size)
+
+    def next_command(self) -> Command:
         """What the arm should do next, for the target that was assessed last."""
         command = self._explorer.next_command(self._target, self._samples)
         if isinstance(command, VelocityCommand):
-            velocity = np.array([command.vx, command.vy, command.omega])
-            acceleration = (velocity - self._velocity) / self._workspace.scale / self._step_duration
+            acceleration = (command.velocity - self._velocity) / self._workspace.scale / self._step_duration
             self._effort += float(acceleration @ acceleration) * self._step_duration
-            self._velocity = velocity
+            self._velocity = command.velocity
         else:
             self._effort = float("nan")
         return command

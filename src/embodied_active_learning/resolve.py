@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,31 +12,49 @@ import yaml
 
 from embodied_active_learning.config import Config, find_profile, load_profile, merge, settings
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.session.session import check_session
-from embodied_active_learning.simulation.world import load_world
+from embodied_active_learning.session.session import Session, check_session, session_path
+from embodied_active_learning.simulation.resources import PACKAGE, package_folder
+from embodied_active_learning.simulation.world import find_world, load_world
 
 
-def resolve(profile: str, overrides: Sequence[str], profiles: Path) -> Config:
-    """The configuration of a profile (name in the folder profiles, or path) with SECTION/KEY=VALUE overrides.
+def resolve(profile: str, overrides: Sequence[str]) -> Config:
+    """The configuration of one run: a profile (name in config/, or path) with SECTION/KEY=VALUE overrides.
 
-    The world's path and the session's name are filled in. Raises ConfigError, WorldError or SessionError.
+    No profile is the paper's, or for a session that is resumed the configuration that it was made with. An override
+    without a value changes nothing. The world's path and the session's name are filled in. Raises ConfigError,
+    WorldError or SessionError, for whatever would keep the run from starting.
     """
-    values = load_profile(find_profile(profile, profiles))
+    changes: Dict[str, Dict[str, Any]] = {}
     for override in overrides:
-        values = merge(values, _parse_override(override))
-    config = Config.from_dict(values)
-    world = load_world(config.simulation.world, config.workspace.box())
-    simulation = replace(config.simulation, world=str(world.path))
-    name = config.session.name or _session_name(config, world.path.stem)
+        changes = merge(changes, _parse_override(override))
+    config = Config.from_dict(merge(_base(profile, changes), changes))
+    world = find_world(config.simulation.world).resolve()
+    load_world(str(world), config.workspace.box())
+    simulation = replace(config.simulation, world=str(world))
+    name = config.session.name or _session_name(config, world.stem)
     root = str(Path(config.session.root).expanduser().resolve())
     config = replace(config, simulation=simulation, session=replace(config.session, name=name, root=root))
     check_session(config)
     return config
 
 
+def _base(profile: str, changes: Dict[str, Dict[str, Any]]) -> Dict[str, Any]:
+    """What the overrides apply to."""
+    given = Config.from_dict({"session": changes.get("session", {})})
+    stored: Dict[str, Any] = {}
+    if given.session.resume:
+        path = session_path(given)
+        if path.is_dir():
+            stored = Session.open_read_only(path).config.to_dict()
+    if not profile and stored:
+        return stored
+    return merge(stored, load_profile(find_profile(profile or "paper", package_folder(PACKAGE) / "config")))
+
+
 def _session_name(config: Config, world: str) -> str:
     exploration = config.exploration
-    return f"{world}-{exploration.explorer}-seed{exploration.seed}-{time.strftime('%Y%m%d-%H%M%S')}".lower()
+    stem = re.sub("[^a-z0-9]+", "-", world.lower()).strip("-")[:20] or "world"
+    return f"{stem}-{exploration.explorer}-seed{exploration.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
@@ -43,7 +62,12 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
     section, slash, key = path.partition("/")
     if not (equals and slash and section and key):
         raise ConfigError(f"override {text!r} is not of the form section/key=value")
-    return {section: {key: value if _is_text(section, key) else yaml.safe_load(value)}}
+    if not value:
+        return {}
+    try:
+        return {section: {key: value if _is_text(section, key) else yaml.safe_load(value)}}
+    except yaml.YAMLError as error:
+        raise ConfigError(f"override {text!r} has a value that is not YAML") from error
 
 
 def _is_text(section: str, key: str) -> bool:

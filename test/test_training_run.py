@@ -1,0 +1,150 @@
+"""The learning half of Algorithm 1: stores, learns in its thread, answers meanwhile, and goes on after a stop."""
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ObservationError, SessionError
+from embodied_active_learning.session.checkpoints import load_model
+from embodied_active_learning.training_run import TrainingRun
+
+STEPS = 20
+TIMEOUT = 60.0
+
+
+def configured(root, **session):
+    return Config.from_dict(
+        {
+            "camera": {"width": 45, "height": 45},
+            "training": {"batch_size": 4, "first_update_at": 4, "updates_per_observation": 2, "evaluate_every": 10},
+            "exploration": {"steps": STEPS, "samples": 50, "fresh_samples": 5},
+            "session": {"name": "run", "root": str(root), **session},
+        }
+    )
+
+
+def observation(index):
+    random = np.random.default_rng(index)
+    state = random.uniform([0.33, -0.14, -1.9], [0.62, 0.14, 1.9])
+    return index, 0.2 * index, state, random.integers(0, 256, (45, 45, 3), dtype=np.uint8)
+
+
+@contextmanager
+def training(run):
+    """The run with its training thread going; stopped and closed when the block ends."""
+    stop, reports, finished = threading.Event(), [], threading.Event()
+    thread = threading.Thread(target=run.train, args=(stop, reports.append, finished.set))
+    thread.start()
+    try:
+        yield reports, finished
+    finally:
+        stop.set()
+        run.wake()
+        thread.join(TIMEOUT)
+        run.close()
+        assert not thread.is_alive()
+
+
+def hand_over(run, indices):
+    for index in indices:
+        run.observe(*observation(index))
+
+
+def test_updates_keep_their_ratio_to_observations(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (reports, _):
+        hand_over(run, range(9))
+        run.log_std(np.zeros((1, 3)), 10, TIMEOUT)
+        assert run.updates == 2 * (9 - 4)
+        assert [report.update for report in reports] == list(range(1, 11))
+        assert not run.finished
+
+
+def test_a_finished_run_leaves_model_tables_and_checkpoint(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (_, finished):
+        hand_over(run, range(STEPS))
+        assert finished.wait(TIMEOUT)
+        assert run.finished
+        assert run.updates == 2 * STEPS
+    weights, facts = load_model(tmp_path / "run" / "model.safetensors")
+    assert sum(tensor.numel() for tensor in weights.values()) > 100000
+    assert facts["updates"] == 2 * STEPS
+    assert len((tmp_path / "run" / "training.csv").read_text().splitlines()) == 2 * STEPS + 1
+    assert len((tmp_path / "run" / "evaluation.csv").read_text().splitlines()) == 4 + 1
+
+
+def test_entropy_before_learning_says_that_nothing_is_learned(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(2))
+        assert run.log_std(np.zeros((5, 3)), 0) == (None, 0, True)
+
+
+def test_entropy_from_a_model_that_is_not_there_yet_is_not_answered(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(5))
+        values, _, ready = run.log_std(np.zeros((5, 3)), 1000, timeout=0.1)
+        assert values is None
+        assert not ready
+
+
+def test_entropy_and_latents_come_from_the_newest_snapshot(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(8))
+        states = np.array([observation(index)[2] for index in range(6)])
+        log_std, updates, ready = run.log_std(states, 8, TIMEOUT)
+        assert ready
+        assert updates == 8
+        assert log_std.shape == (6,)
+        assert np.all(np.isfinite(log_std))
+        means, stds, updates = run.encode(states, [observation(index)[3] for index in range(6)])
+        assert means.shape == stds.shape == (6, 16)
+        assert np.all(stds > 0.0)
+
+
+def test_nothing_to_encode_is_an_error_and_not_an_empty_answer(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run), pytest.raises(ObservationError, match="0 images and 0 states"):
+        run.encode(np.empty((0, 3)), [])
+
+
+def test_an_observation_handed_over_twice_counts_once(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, [0, 1, 1, 0, 2])
+        assert run.observations == 3
+
+
+def test_a_stopped_run_goes_on_with_every_observation_and_update(tmp_path):
+    first = TrainingRun(configured(tmp_path))
+    with training(first):
+        hand_over(first, range(10))
+        first.log_std(np.zeros((1, 3)), 12, TIMEOUT)
+    again = TrainingRun(configured(tmp_path, resume=True))
+    assert again.observations == 10
+    assert again.updates == 12
+    np.testing.assert_array_equal(again.trajectory[3], observation(3)[2])
+    with training(again) as (_, finished):
+        hand_over(again, range(10, STEPS))
+        assert finished.wait(TIMEOUT)
+    updates = [line.split(",")[0] for line in (tmp_path / "run" / "training.csv").read_text().splitlines()[1:]]
+    assert updates == [str(update) for update in range(1, 2 * STEPS + 1)]
+
+
+def test_a_checkpoint_can_be_asked_for_while_training(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(6))
+        assert run.save(TIMEOUT).exists()
+
+
+def test_a_session_in_use_is_not_opened_again(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run), pytest.raises(SessionError, match="in use"):
+        TrainingRun(configured(tmp_path, resume=True))
