@@ -11,6 +11,7 @@ from embodied_active_learning.errors import CommandError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.node import wait_until
+from embodied_active_learning.ros.services import TRANSPORT_ERRORS, saying_who_is_awaited
 from embodied_active_learning.srv import GoToPose, MoveArm
 
 
@@ -28,30 +29,26 @@ class ArmClient:
 
     def move(self, velocity: Sequence[float], duration: float) -> PlanarState:
         """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s] -> the state reached. Raises CommandError."""
-        return self._answer(self._move, *map(float, velocity), duration)
+        return self._answer(self._move, *map(float, velocity), duration).state
 
     def go_to(self, pose: Sequence[float]) -> PlanarState:
         """Go to pose (3,) [m, m, rad] and stop there -> the state reached. Raises CommandError."""
-        return self._answer(self._go_to, *map(float, pose))
+        return self._answer(self._go_to, *map(float, pose)).state
 
     def stop(self) -> None:
         """Stop now. Raises CommandError when the arm does not confirm."""
-        try:
-            answer = self._stop()
-        except rospy.ServiceException as error:
-            raise CommandError(f"{self._stop.resolved_name} did not answer: {error}") from error
-        if not answer.success:
-            raise CommandError(answer.message)
+        self._answer(self._stop)
 
     @staticmethod
-    def _answer(service: Any, *arguments: float) -> PlanarState:
+    def _answer(service: Any, *arguments: float) -> Any:
         try:
-            answer = service(*arguments)
-        except rospy.ServiceException as error:
+            with saying_who_is_awaited(service.resolved_name):
+                answer = service(*arguments)
+        except TRANSPORT_ERRORS as error:
             raise CommandError(f"{service.resolved_name} did not answer: {error}") from error
         if not answer.success:
             raise CommandError(answer.message)
-        return answer.state
+        return answer
 
 
 def _is_offered(service: Any) -> bool:

@@ -13,7 +13,7 @@ from embodied_active_learning.errors import CommandError
 class Commander:
     """Keeps the arm to the node that drives it, until that node has been silent for a while (wall seconds).
 
-    Stopping is open to everyone and takes no lease.
+    Everyone may stop the arm. When it is not its driver who does, no command is taken until somebody calls recover.
     """
 
     def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -23,12 +23,12 @@ class Commander:
         self._holder = ""
         self._expires = 0.0
         self._busy = False
+        self._stopped_by = ""
 
     @contextmanager
     def command(self, request: Any) -> Iterator[None]:
         """The time of one command. Raises CommandError naming the node that has the arm."""
-        caller = request._connection_header.get("callerid", "an unnamed node")
-        self._take(caller)
+        self._take(name_of_caller(request))
         try:
             yield
         finally:
@@ -42,8 +42,22 @@ class Commander:
         with self._lock:
             return self._holder if self._is_held() else ""
 
+    def stop(self, request: Any) -> None:
+        """Somebody stops the arm; if another node is driving it, for good."""
+        caller = name_of_caller(request)
+        with self._lock:
+            if self._is_held() and caller != self._holder:
+                self._stopped_by = caller
+
+    def recover(self) -> None:
+        """Take commands again."""
+        with self._lock:
+            self._stopped_by = ""
+
     def _take(self, caller: str) -> None:
         with self._lock:
+            if self._stopped_by:
+                raise CommandError(f"the arm was stopped by {self._stopped_by}: call arm/recover to go on")
             if self._busy:
                 raise CommandError(f"the arm is carrying out a command of {self._holder}")
             if self._is_held() and caller != self._holder:
@@ -55,3 +69,8 @@ class Commander:
 
     def _is_held(self) -> bool:
         return self._busy or (bool(self._holder) and self._clock() < self._expires)
+
+
+def name_of_caller(request: Any) -> str:
+    """The node that sent a service request, known by its connection."""
+    return request._connection_header.get("callerid", "an unnamed node")

@@ -34,9 +34,9 @@ class ExplorationDisplays:
         self._workspace.publish(workspace_marker(config.workspace.box(), self._height))
         self._shown_at = 0.0
 
-    def show(self, stamp: rospy.Time, run: ExplorationRun, assessment: Assessment) -> None:
-        """Publish the step, unless the last picture is fresh or nobody looks."""
-        if time.monotonic() < self._shown_at + PERIOD or not self._is_watched():
+    def show(self, stamp: rospy.Time, run: ExplorationRun, assessment: Assessment, last: bool = False) -> None:
+        """Publish the step, unless the last picture is fresh or nobody looks; the last step of a run always."""
+        if not last and (time.monotonic() < self._shown_at + PERIOD or not self._is_watched()):
             return
         self._shown_at = time.monotonic()
         samples = run.sample_states

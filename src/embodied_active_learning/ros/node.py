@@ -58,6 +58,12 @@ def wait_until(condition: Callable[[], bool], waiting_for: Callable[[], str], pe
         time.sleep(period)
 
 
+def pause(seconds: float) -> None:
+    """Let wall time pass. Raises ShutdownRequestedError when the node ends meanwhile."""
+    ends_at = time.monotonic() + seconds
+    wait_until(lambda: time.monotonic() >= ends_at, lambda: f"the next try, every {seconds:g} s")
+
+
 class Ticker:
     """Calls a function every period of wall time in a thread of its own, until the node ends."""
 

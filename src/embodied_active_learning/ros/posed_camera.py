@@ -31,7 +31,6 @@ class PosedCamera:
         self._condition = threading.Condition()
         self._states: Deque[PlanarState] = deque(maxlen=KEPT)
         self._image: Optional[Image] = None
-        self._image_at: Optional[float] = None
         self._state_subscriber = rospy.Subscriber(names.ARM_STATE, PlanarState, self._on_state, queue_size=KEPT)
         # A buffer smaller than an image would let old images queue up in the socket.
         self._image_subscriber = rospy.Subscriber(
@@ -71,7 +70,7 @@ class PosedCamera:
 
     def _on_image(self, message: Image) -> None:
         with self._condition:
-            self._image, self._image_at = message, time.monotonic()
+            self._image = message
             self._condition.notify_all()
 
     def _match(self, after: rospy.Time) -> Optional[Tuple[rospy.Time, np.ndarray, PlanarState]]:
@@ -101,8 +100,7 @@ class PosedCamera:
         if self._image is None:
             return f"no image on {topic} yet"
         if self._image.header.stamp < after:
-            age = time.monotonic() - self._image_at
-            return f"no new image on {topic} for {age:.1f} s (camera/max_age is {self._config.max_age:g} s)"
+            return f"no new image on {topic} within camera/max_age ({self._config.max_age:g} s)"
         return f"no state on {rospy.resolve_name(names.ARM_STATE)} around the image's stamp"
 
 

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Callable
+from contextlib import contextmanager
+from typing import Any, Callable, Iterator
 
 import rospy
+from rospy.exceptions import TransportException
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros.node import REPEAT_AFTER, ShutdownRequestedError
+
+# What a call raises when the other side is gone: rospy lets the socket's own errors through.
+TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, OSError)
+HANDLER_FAILED = "responded with an error"  # rospy's words for an exception in the server's handler
 
 
 class PatientService:
@@ -25,14 +31,12 @@ class PatientService:
         self._lock = threading.Lock()
 
     def call(self, request: Any) -> Any:
-        """The server's answer, however long it takes. Raises ShutdownRequestedError when the node ends first."""
-        answered = threading.Event()
-        threading.Thread(target=self._say_waiting, args=(answered,), daemon=True).start()
-        try:
-            with self._lock:
-                return self._call(request)
-        finally:
-            answered.set()
+        """The server's answer, however long it takes.
+
+        Raises ShutdownRequestedError when the node ends first, EmbodiedActiveLearningError when the server fails.
+        """
+        with saying_who_is_awaited(self._name), self._lock:
+            return self._call(request)
 
     def _call(self, request: Any) -> Any:
         while not rospy.is_shutdown():
@@ -41,7 +45,9 @@ class PatientService:
                     rospy.wait_for_service(self._name, timeout=1.0)
                     self._proxy = rospy.ServiceProxy(self._name, self._service_class, persistent=True)
                 return self._proxy(request)
-            except (rospy.ServiceException, rospy.ROSException) as error:
+            except TRANSPORT_ERRORS as error:
+                if HANDLER_FAILED in str(error):
+                    raise EmbodiedActiveLearningError(f"{self._name} failed: {error}") from error
                 rospy.logdebug("%s: %s", self._name, error)
                 self._drop_connection()
                 time.sleep(0.1)
@@ -52,10 +58,21 @@ class PatientService:
             self._proxy.close()
             self._proxy = None
 
-    def _say_waiting(self, answered: threading.Event) -> None:
-        started = time.monotonic()
+
+@contextmanager
+def saying_who_is_awaited(name: str) -> Iterator[None]:
+    """Say every few seconds of wall time that a service has not answered yet, until the block ends."""
+    answered, started = threading.Event(), time.monotonic()
+
+    def say() -> None:
         while not answered.wait(REPEAT_AFTER) and not rospy.is_shutdown():
-            rospy.loginfo("waiting for %s to answer, for %.0f s now", self._name, time.monotonic() - started)
+            rospy.loginfo("waiting for %s to answer, for %.0f s now", name, time.monotonic() - started)
+
+    threading.Thread(target=say, daemon=True).start()
+    try:
+        yield
+    finally:
+        answered.set()
 
 
 def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) -> rospy.Service:

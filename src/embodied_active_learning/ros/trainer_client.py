@@ -1,0 +1,65 @@
+"""The planner's side of the trainer."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Optional, Tuple
+
+import numpy as np
+import rospy
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.msg import Observation
+from embodied_active_learning.ros import names
+from embodied_active_learning.ros.conversions import states_array
+from embodied_active_learning.ros.node import REPEAT_AFTER
+from embodied_active_learning.ros.services import PatientService
+from embodied_active_learning.srv import (
+    EvaluateEntropy,
+    EvaluateEntropyRequest,
+    GetTrajectory,
+    GetTrajectoryRequest,
+    Observe,
+    ObserveRequest,
+)
+
+
+class TrainerClient:
+    """Asks the trainer, waits for it as long as it takes, and says so meanwhile."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._observe = PatientService(names.TRAINER_OBSERVE, Observe)
+        self._entropy = PatientService(names.TRAINER_ENTROPY, EvaluateEntropy)
+        self._trajectory = PatientService(names.TRAINER_TRAJECTORY, GetTrajectory)
+
+    def trajectory(self) -> Tuple[np.ndarray, Path]:
+        """States (N, 3) of what is stored, SI units, and the session's folder."""
+        answer = self._trajectory.call(GetTrajectoryRequest())
+        return states_array(answer.states), Path(answer.session)
+
+    def observe(self, observation: Observation) -> None:
+        """Hand over one observation; when this returns it is stored for good. Raises the trainer's refusal."""
+        answer = self._observe.call(ObserveRequest(observation))
+        if not answer.success:
+            raise EmbodiedActiveLearningError(f"observation {observation.index} was not stored: {answer.message}")
+
+    def log_std(self, states: np.ndarray, observations: int) -> Optional[np.ndarray]:
+        """Log standard deviation (S,) at states (S, 3) in SI units; None while nothing is learned.
+
+        Waits until the trainer is at most max_lag updates behind what so many observations call for.
+        """
+        updates = max(0, self._config.updates_due(observations) - self._config.training.max_lag)
+        request = EvaluateEntropyRequest(updates, np.asarray(states).ravel().tolist())
+        say_at = time.monotonic() + REPEAT_AFTER
+        while True:
+            answer = self._entropy.call(request)
+            if not answer.success:
+                raise EmbodiedActiveLearningError(f"the trainer gave no entropy: {answer.message}")
+            if answer.ready:
+                return np.array(answer.log_std) if answer.learned else None
+            if time.monotonic() >= say_at:
+                rospy.loginfo("waiting for the trainer: update %d of %d", answer.updates, updates)
+                say_at = time.monotonic() + REPEAT_AFTER

@@ -1,0 +1,77 @@
+"""One commander of the arm at a time."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from embodied_active_learning.errors import CommandError
+from embodied_active_learning.ros.commander import Commander
+
+
+class Clock:
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def request(caller):
+    return SimpleNamespace(_connection_header={"callerid": caller})
+
+
+def test_a_second_node_is_refused_with_the_name_of_the_first():
+    commander = Commander(5.0, Clock())
+    with commander.command(request("/ergodic_planner")):
+        pass
+    with pytest.raises(CommandError, match="driven by /ergodic_planner"), commander.command(request("/fingerprinter")):
+        pass
+
+
+def test_the_arm_is_free_again_when_its_commander_has_been_silent():
+    clock = Clock()
+    commander = Commander(5.0, clock)
+    with commander.command(request("/ergodic_planner")):
+        pass
+    clock.now = 5.1
+    assert commander.holder == ""
+    with commander.command(request("/fingerprinter")):
+        assert commander.holder == "/fingerprinter"
+
+
+def test_the_time_of_a_long_command_does_not_free_the_arm():
+    clock = Clock()
+    commander = Commander(5.0, clock)
+    with commander.command(request("/ergodic_planner")):
+        clock.now = 100.0
+        with pytest.raises(CommandError, match="carrying out"), commander.command(request("/fingerprinter")):
+            pass
+
+
+def test_a_stop_by_another_node_lasts_until_somebody_recovers_the_arm():
+    commander = Commander(5.0, Clock())
+    with commander.command(request("/ergodic_planner")):
+        pass
+    commander.stop(request("/operator"))
+    with pytest.raises(CommandError, match="stopped by /operator"), commander.command(request("/ergodic_planner")):
+        pass
+    commander.recover()
+    with commander.command(request("/ergodic_planner")):
+        pass
+
+
+def test_a_driver_that_stops_its_own_arm_may_go_on():
+    commander = Commander(5.0, Clock())
+    with commander.command(request("/ergodic_planner")):
+        pass
+    commander.stop(request("/ergodic_planner"))
+    with commander.command(request("/ergodic_planner")):
+        pass
+
+
+def test_a_command_that_fails_does_not_leave_the_arm_busy():
+    commander = Commander(5.0, Clock())
+    with pytest.raises(ZeroDivisionError), commander.command(request("/a")):
+        raise ZeroDivisionError
+    with commander.command(request("/a")):
+        pass
