@@ -1,0 +1,118 @@
+#!/usr/bin/env python3
+"""The simulated arm as a node: what it publishes, what it moves, and what it refuses."""
+
+import subprocess
+import threading
+import unittest
+
+import numpy as np
+import rospy
+import tf2_ros
+from embodied_active_learning.msg import PlanarState
+from embodied_active_learning.srv import GoToPose, MoveArm
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_srvs.srv import Trigger
+
+import rostest
+from embodied_active_learning.ros.conversions import image_array, state_arrays
+from embodied_active_learning.workspace import Workspace
+
+TIMEOUT = 30.0
+
+
+class PyBulletArmTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        for name in ("arm/move", "arm/go_to", "arm/stop", "arm/recover"):
+            rospy.wait_for_service(name, TIMEOUT)
+        cls.move = rospy.ServiceProxy("arm/move", MoveArm)
+        cls.go_to = rospy.ServiceProxy("arm/go_to", GoToPose)
+        cls.stop = rospy.ServiceProxy("arm/stop", Trigger)
+        cls.tf = tf2_ros.Buffer()
+        cls.tf_listener = tf2_ros.TransformListener(cls.tf)
+
+    def setUp(self):
+        answer = self.go_to(0.475, 0.0, 0.0)
+        self.assertTrue(answer.success, answer.message)
+
+    def test_a_velocity_held_for_a_duration_moves_the_arm_that_far(self):
+        answer = self.move(0.1, -0.05, 0.5, 0.2)
+        state, velocity = state_arrays(answer.state)
+        self.assertTrue(answer.success)
+        self.assertFalse(answer.limited)
+        np.testing.assert_allclose(state, [0.495, -0.01, 0.1], atol=2e-3)
+        np.testing.assert_allclose(velocity, [0.1, -0.05, 0.5], atol=2e-2)
+
+    def test_image_state_joints_and_clock_are_of_one_instant(self):
+        stamp = self.move(0.1, 0.0, 0.0, 0.2).state.header.stamp
+        for topic, message_class in (
+            ("camera/image_raw", Image),
+            ("camera/camera_info", CameraInfo),
+            ("arm/state", PlanarState),
+            ("joint_states", JointState),
+        ):
+            message = rospy.wait_for_message(topic, message_class, TIMEOUT)
+            self.assertEqual(message.header.stamp, stamp, topic)
+        self.assertEqual(rospy.wait_for_message("/clock", Clock, TIMEOUT).clock, stamp)
+
+    def test_the_camera_sees_something_and_is_calibrated(self):
+        image = image_array(rospy.wait_for_message("camera/image_raw", Image, TIMEOUT), 180, 180)
+        self.assertGreater(image.std(), 1.0)
+        info = rospy.wait_for_message("camera/camera_info", CameraInfo, TIMEOUT)
+        self.assertAlmostEqual(info.K[0], 90.0 / np.tan(np.radians(15.0)), places=6)
+        self.assertEqual((info.width, info.height), (180, 180))
+
+    def test_tf_says_the_same_as_the_arm(self):
+        state = self.move(0.05, 0.1, 0.8, 0.2).state
+        arrived = threading.Event()
+        for _ in range(200):
+            if self.tf.can_transform("panda_link0", "camera_optical_frame", state.header.stamp):
+                break
+            arrived.wait(0.05)
+        transform = self.tf.lookup_transform("panda_link0", "camera_optical_frame", state.header.stamp).transform
+        self.assertAlmostEqual(transform.translation.x, state.x, places=4)
+        self.assertAlmostEqual(transform.translation.y, state.y, places=4)
+        self.assertAlmostEqual(transform.translation.z, 0.3, places=3)
+
+    def test_a_command_that_leads_out_of_the_workspace_ends_inside_it(self):
+        for _ in range(12):
+            answer = self.move(0.15, 0.15, 1.5, 0.2)
+        self.assertTrue(answer.limited)
+        self.assertTrue(Workspace().contains(state_arrays(answer.state)[0]))
+
+    def test_a_command_that_is_no_number_is_refused_and_the_arm_stays(self):
+        before, _ = state_arrays(self.move(0.0, 0.0, 0.0, 0.2).state)
+        answer = self.move(float("nan"), 0.0, 0.0, 0.2)
+        self.assertFalse(answer.success)
+        self.assertIn("finite", answer.message)
+        after, _ = state_arrays(self.move(0.0, 0.0, 0.0, 0.2).state)
+        np.testing.assert_allclose(after, before, atol=1e-4)
+
+    def test_a_velocity_is_not_held_longer_than_the_limit(self):
+        self.assertFalse(self.move(0.1, 0.0, 0.0, 60.0).success)
+
+    def test_a_pose_outside_the_workspace_is_refused(self):
+        answer = self.go_to(1.5, 0.0, 0.0)
+        self.assertFalse(answer.success)
+        self.assertIn("workspace", answer.message)
+
+    def test_a_stop_by_somebody_else_lasts_until_the_arm_is_recovered(self):
+        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+        subprocess.run(["rosservice", "call", "/arm/stop"], check=True, timeout=TIMEOUT, stdout=subprocess.DEVNULL)
+        answer = self.move(0.05, 0.0, 0.0, 0.2)
+        self.assertFalse(answer.success)
+        self.assertIn("stopped by /rosservice", answer.message)
+        self.assertTrue(rospy.ServiceProxy("arm/recover", Trigger)().success)
+        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+
+    def test_the_arm_stands_still_after_a_stop(self):
+        self.move(0.1, 0.0, 0.0, 0.2)
+        self.assertTrue(self.stop().success)
+        state = rospy.wait_for_message("arm/state", PlanarState, TIMEOUT)
+        np.testing.assert_allclose(state_arrays(state)[1], 0.0, atol=1e-4)
+
+
+if __name__ == "__main__":
+    rospy.init_node("check_pybullet_arm")
+    rostest.rosrun("embodied_active_learning", "check_pybullet_arm", PyBulletArmTest)

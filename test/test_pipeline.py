@@ -1,0 +1,135 @@
+"""The whole pipeline through learn.launch: repeatable, resumable, and honest when something is wrong."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from embodied_active_learning.session.checkpoints import load_model
+from embodied_active_learning.session.session import Session
+from launching import ROOT, environment, launch_to_the_end, launched, started
+
+SHORT = ROOT / "test" / "rostest" / "short.yaml"
+
+
+def arguments(root, session="run", **overrides):
+    values = {"profile": SHORT, "session_root": root, "session": session, "max_lag": 0, "seed": 1, **overrides}
+    return ["learn.launch", *(f"{name}:={value}" for name, value in values.items())]
+
+
+def finished(path):
+    check = [sys.executable, ROOT / "tools" / "check_session.py", path]
+    return subprocess.run(check, check=False, capture_output=True).returncode == 0
+
+
+def wait_for(condition, process, timeout=120):
+    ends_at = time.monotonic() + timeout
+    while not condition():
+        assert process.poll() is None, "the launch ended"
+        assert time.monotonic() < ends_at, "it did not happen in time"
+        time.sleep(0.1)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A short run, for the tests that only look at what it left behind."""
+    home = tmp_path_factory.mktemp("first")
+    output = launch_to_the_end(home, *arguments(home))
+    return home / "run", output
+
+
+def test_a_run_ends_by_itself_with_figures_and_a_summary(first):
+    path, output = first
+    assert finished(path), output
+    assert "active units" in output
+    assert str(path / "figures" / "learning_metrics.png") in output
+
+
+def test_two_runs_with_one_seed_give_the_same_tables_and_the_same_weights(first, tmp_path):
+    path, _ = first
+    launch_to_the_end(tmp_path, *arguments(tmp_path))
+    for name in ("exploration.csv", "training.csv", "evaluation.csv"):
+        assert (path / name).read_bytes() == (tmp_path / "run" / name).read_bytes(), name
+        assert len((path / name).read_text().splitlines()) > 1
+    weights = [load_model(folder / "model.safetensors")[0] for folder in (path, tmp_path / "run")]
+    assert weights[0].keys() == weights[1].keys()
+    assert all(bool((weights[0][key] == weights[1][key]).all()) for key in weights[0])
+
+
+def test_a_finished_session_is_not_overwritten(first, tmp_path):
+    path, _ = first
+    before = {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")}
+    output = launch_to_the_end(tmp_path, *arguments(path.parent))
+    assert "nothing was started" in output
+    assert f"session {path} exists" in output
+    assert {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ({"world": "diagonale"}, "diagonal"),
+        ({"explorer": "ergodyc"}, "did you mean ergodic?"),
+        ({"steps": 0}, "exploration/steps is 0"),
+        ({"session": "../elsewhere"}, "session/name is '../elsewhere'"),
+        ({"session": "nothing-there", "resume": "true"}, "there is no session"),
+    ],
+)
+def test_what_cannot_work_is_refused_before_any_node_starts(overrides, expected, tmp_path):
+    output = launch_to_the_end(tmp_path, *arguments(tmp_path, **overrides), timeout=60)
+    assert "nothing was started" in output
+    assert expected in output
+    assert "process[" not in output
+
+
+def test_a_run_whose_trainer_was_killed_has_not_finished_and_can_be_resumed(tmp_path):
+    path = tmp_path / "run"
+    with launched(tmp_path, *arguments(tmp_path, steps=80)) as process:
+        wait_for(lambda: (path / "training.csv").exists() and len((path / "training.csv").read_text()) > 1500, process)
+        os.kill(pid_of("trainer", process.pid), signal.SIGKILL)
+        process.wait(60)
+    assert not finished(path)
+    stored = len(Session.open_read_only(path).open_observations())
+    assert 8 < stored < 80
+    launch_to_the_end(tmp_path, *arguments(tmp_path, steps=80, resume="true"))
+    assert finished(path)
+    session = Session.open_read_only(path)
+    assert session.read_table("exploration")["step"].tolist() == list(range(1, 81))
+    assert session.read_table("training")["update"].tolist() == list(range(1, 81))
+    assert len(session.open_observations()) == 80
+
+
+def test_two_systems_run_in_namespaces_under_one_master(tmp_path):
+    variables = environment(tmp_path)
+    port = variables["ROS_MASTER_URI"].rsplit(":", 1)[1]
+    with started(["roscore", "-p", port], tmp_path / "core.log", variables):
+        homes = {name: tmp_path / name for name in ("left", "right")}
+        with ExitStack() as both:
+            processes = []
+            for name, home in homes.items():
+                home.mkdir()
+                inside = {**variables, "ROS_HOME": str(home), "ROS_NAMESPACE": name}
+                launch = launched(home, "--wait", *arguments(home, steps=20), variables=inside)
+                processes.append(both.enter_context(launch))
+            for process in processes:
+                process.wait(180)
+    for home in homes.values():
+        assert finished(home / "run"), (home / "launch.log").read_text()
+
+
+def pid_of(node, launcher):
+    """The process of a node that this launcher started."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            command = (entry / "cmdline").read_bytes().split(b"\0")
+            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+        if parent == launcher and any(part.endswith(f"/{node}".encode()) for part in command):
+            return int(entry.name)
+    raise AssertionError(f"{node} is not running")
