@@ -63,6 +63,15 @@ def test_an_update_reports_the_loss_with_its_terms():
     assert 0 <= report.active_units <= 16
 
 
+def test_the_decoder_starts_at_the_mean_colour_of_the_observations_unless_it_shall_start_black():
+    at_mean, black = make(), make(training={"start_at_mean_colour": False})
+    for learner in (at_mean, black):
+        learner.update()
+    colour = GrowingStore(30).images.mean(axis=(0, 1, 2)) / 255.0
+    assert np.allclose(at_mean.network.image_decoder[-1].bias.detach(), colour, atol=0.01)
+    assert np.abs(black.network.image_decoder[-1].bias.detach().numpy()).max() < 0.2
+
+
 def test_training_lowers_the_loss():
     learner = make()
     losses = [learner.update().loss for _ in range(30)]

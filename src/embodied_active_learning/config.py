@@ -111,6 +111,9 @@ class TrainingConfig:
     batch_size: int = setting(64, "observations of a mini-batch", "", 1, 65536)
     learning_rate: float = setting(1e-3, "learning rate of Adam", "", 1e-8, 1.0)
     first_update_at: int = setting(64, "observations before learning starts", "", 1, 1000000)
+    start_at_mean_colour: bool = setting(
+        True, "the decoder starts at the first observations' mean colour instead of black, and learns sooner"
+    )
     updates_per_observation: int = setting(3, "model updates for each observation", "", 0, 1000)
     max_lag: int = setting(
         6,

@@ -89,6 +89,15 @@ class ConditionalVAE(nn.Module):
         log_std, features = self.decode_features(latents, states)
         return self.image_decoder(features.unflatten(1, self.feature_shape)), log_std
 
+    def start_at(self, colour: torch.Tensor) -> None:
+        """Let the decoder begin around a colour (3,) in [0, 1]: the bias of its last layer.
+
+        From black, the first hundreds of updates go into the images' brightness, and objects may share one colour for
+        thousands more.
+        """
+        with torch.no_grad():
+            self.image_decoder[-1].bias.copy_(colour)
+
     def decode_features(self, latents: torch.Tensor, states: torch.Tensor) -> Tuple[torch.Tensor, torch.Tensor]:
         """The decoder before the image. latents: (B, L), states: (B, D) -> log std (B,), features (B, F)."""
         outputs = self.decoder(torch.cat((latents, states), dim=1))

@@ -86,6 +86,8 @@ class Learner:
 
     def update(self) -> UpdateReport:
         """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients."""
+        if self.updates == 0 and self._config.training.start_at_mean_colour:
+            self.network.start_at(self._mean_colour())
         if self.updates % self._config.objective.schedule_every == 0:
             self._evaluate_schedule()
         beta, gamma = self.schedule.beta, self.schedule.gamma
@@ -173,6 +175,11 @@ class Learner:
         loss = self._loss(self.network, pair, torch.from_numpy(noise).to(self._device), beta, gamma)
         loss.total.backward()
         return Loss(*(term.detach() for term in loss))
+
+    def _mean_colour(self) -> torch.Tensor:
+        """(3,) mean of all pixels of the observations there are, in [0, 1]."""
+        images = self._observations.images[: len(self._observations)]
+        return torch.from_numpy(images.mean(axis=(0, 1, 2)) / 255.0).to(self._device, torch.float32)
 
     def _evaluate_schedule(self) -> None:
         states = self._workspace_states(self._random)
