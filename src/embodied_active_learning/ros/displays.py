@@ -43,7 +43,7 @@ class ExplorationDisplays:
         self._travelled.publish(path_message(stamp, run.travelled_states, self._height))
         self._planned.publish(path_message(stamp, run.planned_states, self._height))
         self._target.publish(_relief(stamp, samples, assessment.target, 0.0))
-        self._time_average.publish(_relief(stamp, samples, assessment.time_average, self._height))
+        self._time_average.publish(_relief(stamp, samples, assessment.time_average, self._height / 2.0))
 
     def _is_watched(self) -> bool:
         publishers = (self._travelled, self._planned, self._target, self._time_average)
