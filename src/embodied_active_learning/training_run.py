@@ -12,6 +12,7 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError, SessionError
+from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.learner import Learner, UpdateReport
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.session import Session
@@ -82,8 +83,7 @@ class TrainingRun:
         Raises ObservationError for what the model was not built for, SessionError when it cannot be stored.
         """
         self._store.append(index, stamp, state, image)
-        with self._changed:
-            self._changed.notify_all()
+        self.wake()
 
     def train(
         self, stop: threading.Event, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]
@@ -105,7 +105,7 @@ class TrainingRun:
         self._checkpoint()
 
     def wake(self) -> None:
-        """Have train() look at its stop event now."""
+        """Have everyone who waits for a change look again; train() at its stop event too."""
         with self._changed:
             self._changed.notify_all()
 
@@ -202,8 +202,8 @@ class TrainingRun:
     def _finish(self) -> None:
         self._checkpoint()
         tensors, _ = self._learner.state()
-        network = {key[len("network/") :]: tensor for key, tensor in tensors.items() if key.startswith("network/")}
-        save_model(self._session.paths.model, network, {"updates": self.updates, "observations": self.observations})
+        facts = {"updates": self.updates, "observations": self.observations}
+        save_model(self._session.paths.model, network_weights(tensors), facts)
         self._model_saved = True
 
     def _save_if_asked(self) -> None:

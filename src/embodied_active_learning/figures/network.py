@@ -10,12 +10,12 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.session.checkpoints import load_latest, load_model
 from embodied_active_learning.session.session import Session
 
 _CHUNK = 8192
-_PREFIX = "network/"
 
 
 def load_network(session: Session) -> Optional[ConditionalVAE]:
@@ -29,8 +29,7 @@ def load_network(session: Session) -> Optional[ConditionalVAE]:
     checkpoint = load_latest(session.paths.checkpoints)
     if checkpoint is None:
         return None
-    weights = {name[len(_PREFIX) :]: tensor for name, tensor in checkpoint.tensors.items() if name.startswith(_PREFIX)}
-    return _build(session.config, weights, checkpoint.path)
+    return _build(session.config, network_weights(checkpoint.tensors), checkpoint.path)
 
 
 def encode(network: ConditionalVAE, states: np.ndarray, images: np.ndarray) -> torch.Tensor:

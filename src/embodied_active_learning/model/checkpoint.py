@@ -10,13 +10,19 @@ from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.model.cvae import ConditionalVAE
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
+NETWORK = "network/"
+
+
+def network_weights(tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
+    """The network's weights among packed tensors, by the network's own names."""
+    return {key[len(NETWORK) :]: tensor for key, tensor in tensors.items() if key.startswith(NETWORK)}
 
 
 def pack(network: ConditionalVAE, optimiser: torch.optim.Adam) -> Dict[str, torch.Tensor]:
     """Copies of the weights ("network/..."), Adam's moments ("adam/<moment>/...") and its step count, on the CPU."""
     tensors = {"adam/step": torch.zeros(())}
     for name, parameter in network.named_parameters():
-        tensors[f"network/{name}"] = _copy(parameter)
+        tensors[f"{NETWORK}{name}"] = _copy(parameter)
         moments = optimiser.state.get(parameter, {})
         for moment in MOMENTS:
             tensors[f"adam/{moment}/{name}"] = _copy(moments.get(moment, torch.zeros_like(parameter)))
@@ -35,7 +41,7 @@ def unpack(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE, optimis
                 f" {tuple(tensor.shape)}: use the configuration that the session was recorded with"
             )
     names = [name for name, _ in network.named_parameters()]
-    network.load_state_dict({name: tensors[f"network/{name}"] for name in names})
+    network.load_state_dict({name: tensors[f"{NETWORK}{name}"] for name in names})
     moments = [{moment: tensors[f"adam/{moment}/{name}"].clone() for moment in MOMENTS} for name in names]
     state = {index: {"step": tensors["adam/step"].clone(), **pair} for index, pair in enumerate(moments)}
     optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
