@@ -186,6 +186,91 @@ class PlannerConfig:
 
 
 @dataclass(frozen=True)
+class FingerprintConfig:
+    """How learned objects are found in the conditional entropy, and looked at (paper, appendix)."""
+
+    clustering: str = setting(
+        "table",
+        "what is clustered: points of the table that stand out in the views that are hard to predict, or, as in the "
+        "paper, the camera's own positions; those need a bandwidth of 0.09 m",
+        "",
+        choices=("table", "camera"),
+    )
+    latents: int = setting(10, "latents over which the predicted standard deviation is averaged", "", 1, 1000)
+    samples: int = setting(1000, "importance samples of the conditional entropy", "", 50, 100000)
+    exponent: float = setting(3.0, "power of the standard deviation in the weight of a sample", "", 0.1, 20.0)
+    bandwidth: float = setting(0.045, "bandwidth of mean-shift clustering", "m", 0.005, 0.5)
+    min_share: float = setting(0.05, "share of the samples that a cluster needs to be an object", "", 0.0, 1.0)
+    merge_distance: float = setting(0.03, "distance below which two centres are one object", "m", 0.0, 0.5)
+    min_contrast: float = setting(
+        2.0, "largest over smallest predicted standard deviation below which there is nothing to find", "", 1.0, 100.0
+    )
+    views: int = setting(50, "views of each object", "", 2, 1000)
+    view_std: float = setting(0.015, "standard deviation of the views around the centre, in x and in y", "m", 1e-3, 0.5)
+    view_yaw_std: float = setting(2.8, "standard deviation of the views' yaw", "rad", 0.01, 100.0)
+    view_box: float = setting(0.06, "farthest that a view is from the centre, in x and in y", "m", 0.005, 0.5)
+    steps_per_view: int = setting(3, "steps of the arm for each view that is kept", "", 1, 100)
+    min_view_distance: float = setting(
+        0.002, "a view is a duplicate when another one is closer than this and turned less than ...", "m", 0.0, 0.1
+    )
+    min_view_turn: float = setting(0.05, "... this", "rad", 0.0, 3.0)
+
+
+@dataclass(frozen=True)
+class IdentificationConfig:
+    """How fingerprints are found again (paper, appendix), and when one counts as found."""
+
+    features: str = setting(
+        "latents",
+        "what stored and new views are compared by; pixels, 30 x 30, is the baseline without a model",
+        "",
+        choices=("latents", "pixels"),
+    )
+    decision: str = setting(
+        "verified",
+        "when a fingerprint is found: verified asks the views of each candidate whether they agree; belief asks that "
+        "the mean belief exceeds min_belief",
+        "",
+        choices=("verified", "belief"),
+    )
+    evidence: str = setting(
+        "tempered",
+        "weight of an image: tempered shares it among the images from one place; counted takes each as independent",
+        "",
+        choices=("tempered", "counted"),
+    )
+    independence_distance: float = setting(0.01, "distance over which two images are nearly the same", "m", 1e-4, 1.0)
+    independence_turn: float = setting(0.2, "turn over which two images are nearly the same", "rad", 1e-3, 10.0)
+    near_variance: float = setting(0.156, "variance of a measurement at the place it points to", "", 1e-6, 1e6)
+    far_pull: float = setting(
+        0.02,
+        "information of a measurement about cells far from the place it points to, relative to that place; it draws "
+        "unseen cells to the mean of all measurements",
+        "",
+        1e-6,
+        1.0,
+    )
+    kernel_std: float = setting(0.042, "standard deviation of a measurement's footprint, in x and in y", "m", 1e-3, 0.5)
+    kernel_yaw_std: float = setting(0.56, "standard deviation of a measurement's footprint in yaw", "rad", 0.01, 10.0)
+    cells: Tuple[int, ...] = setting((40, 40, 18), "cells of a belief grid in x, y and yaw", "", 4, 500)
+    margin: float = setting(0.0225, "how far the belief grid reaches beyond the workspace", "m", 0.0, 0.5)
+    candidates: int = setting(12, "peaks of a belief that are looked at", "", 1, 1000)
+    separation: float = setting(0.06, "closest that two objects are taken to lie", "m", 0.005, 1.0)
+    min_belief: float = setting(0.5, "mean belief that the decision 'belief' asks for", "", 0.0, 1.0)
+    mismatch_limit: float = setting(
+        0.4, "largest mismatch, either way, of a view that agrees with the fingerprint", "nat", 0.0, 10.0
+    )
+    agreement_distance: float = setting(
+        0.02, "farthest from the candidate that a view that agrees may point to", "m", 0.001, 0.5
+    )
+    min_agreement: float = setting(0.6, "share of the compared views that must agree", "", 0.0, 1.0)
+    object_radius: float = setting(0.045, "part of the table around a candidate that is compared", "m", 0.005, 0.5)
+    view_distance: float = setting(0.03, "farthest that a view of a candidate is from it", "m", 0.005, 0.5)
+    views: int = setting(30, "views of a candidate that are compared, at most", "", 1, 1000)
+    min_views: int = setting(5, "views of a candidate without which nothing is decided", "", 1, 1000)
+
+
+@dataclass(frozen=True)
 class SessionConfig:
     """Where the run is kept."""
 
@@ -216,6 +301,8 @@ class Config:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
+    fingerprint: FingerprintConfig = field(default_factory=FingerprintConfig)
+    identification: IdentificationConfig = field(default_factory=IdentificationConfig)
     session: SessionConfig = field(default_factory=SessionConfig)
 
     def __post_init__(self) -> None:
@@ -223,6 +310,10 @@ class Config:
         box = self.workspace.box()
         if len(self.simulation.start) != box.size or not box.contains(self.simulation.start):
             raise ConfigError(f"simulation/start {list(self.simulation.start)} lies outside the workspace")
+        if len(self.identification.cells) != box.size:
+            raise ConfigError(
+                f"identification/cells needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"
+            )
         if len(self.planner.velocity_limits) != box.size:
             raise ConfigError(
                 f"planner/velocity_limits needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.workspace import Workspace
 
 _LARGEST = 700  # px along the longer side
@@ -23,11 +24,6 @@ class TopView:
     pixels: np.ndarray  # (rows, columns, 3) uint8
     seen: np.ndarray  # (rows, columns) bool
     extent: Tuple[float, float, float, float]  # m: lowest x, highest x, lowest y, highest y
-
-
-def metres_per_pixel(camera: CameraConfig) -> float:
-    """Size of an image pixel on the table."""
-    return 2.0 * camera.distance * math.tan(math.radians(camera.field_of_view) / 2.0) / camera.height
 
 
 def top_view(images: np.ndarray, states: np.ndarray, camera: CameraConfig, workspace: Workspace) -> TopView:

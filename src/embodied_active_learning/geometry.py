@@ -1,0 +1,60 @@
+"""Planar geometry of camera and table: pixels to points, and poses seen from another pose."""
+
+from __future__ import annotations
+
+import math
+from typing import Tuple
+
+import numpy as np
+
+from embodied_active_learning.config import CameraConfig
+
+
+def wrap(angles: np.ndarray) -> np.ndarray:
+    """Angles in [-pi, pi), rad."""
+    return (np.asarray(angles) + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def metres_per_pixel(camera: CameraConfig) -> float:
+    """Size of an image pixel on the table."""
+    return 2.0 * camera.distance * math.tan(math.radians(camera.field_of_view) / 2.0) / camera.height
+
+
+def table_points(states: np.ndarray, rows: np.ndarray, columns: np.ndarray, camera: CameraConfig) -> np.ndarray:
+    """Points of the table (..., 2) [m] that pixels at (row, column) show from camera states (..., 3) [m, m, rad].
+
+    The optical frame is Rz(theta) Rx(pi): image right is x turned by theta, image down is -y turned by theta.
+    """
+    pixel = metres_per_pixel(camera)
+    right = pixel * (np.asarray(columns) - (camera.width - 1) / 2.0)
+    down = pixel * (np.asarray(rows) - (camera.height - 1) / 2.0)
+    cosine, sine = np.cos(states[..., 2]), np.sin(states[..., 2])
+    x = states[..., 0] + cosine * right + sine * down
+    y = states[..., 1] + sine * right - cosine * down
+    return np.stack((x, y), axis=-1)
+
+
+def table_grid(states: np.ndarray, camera: CameraConfig) -> np.ndarray:
+    """The point of the table that every pixel shows, (N, H, W, 2) [m], from states (N, 3)."""
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+    return table_points(states[:, None, None, :], rows, columns, camera)
+
+
+def move(poses: np.ndarray, origin: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Poses (..., 3) as they are after the planar motion that takes pose origin to pose goal, (..., 3) each.
+
+    With a stored view's state as origin and a new view's state as goal it takes the object of the stored view to where
+    it must be if it looks the same from the new one.
+    """
+    turn = goal[..., 2] - origin[..., 2]
+    cosine, sine = np.cos(turn), np.sin(turn)
+    dx, dy = poses[..., 0] - origin[..., 0], poses[..., 1] - origin[..., 1]
+    x = goal[..., 0] + cosine * dx - sine * dy
+    y = goal[..., 1] + sine * dx + cosine * dy
+    return np.stack((x, y, wrap(poses[..., 2] + turn)), axis=-1)
+
+
+def pose_distance(one: np.ndarray, other: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Distance [m] and turn [rad], the short way, between poses (..., 3)."""
+    change = np.asarray(one) - other
+    return np.hypot(change[..., 0], change[..., 1]), np.abs(wrap(change[..., 2]))

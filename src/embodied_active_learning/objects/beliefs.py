@@ -1,0 +1,132 @@
+"""Belief grids: how likely a fingerprint's object is at each planar pose (paper, appendix, object identification)."""
+
+from __future__ import annotations
+
+import math
+from typing import List, Tuple
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.geometry import wrap
+from embodied_active_learning.workspace import Workspace
+
+_PRIOR_MEAN = 0.5
+_PRIOR_VARIANCE = 2.0
+
+
+class BeliefGrid:
+    """Mean and standard deviation at the middle of each cell, over x, y and the full circle of yaw.
+
+    A measurement m of variance r(s) is a Gaussian likelihood at each cell s, and Bayes' rule multiplies it to what the
+    cell believes. Kept as information (1 / variance, mean / variance) it is a sum: the order of images does not
+    matter.
+    """
+
+    def __init__(self, workspace: Workspace, settings: IdentificationConfig) -> None:
+        """A grid over the workspace and its margin, at the prior."""
+        self._settings = settings
+        nx, ny, nyaw = settings.cells
+        lower, upper = (np.asarray(limit[:2]) for limit in (workspace.lower, workspace.upper))
+        self.x = np.linspace(lower[0] - settings.margin, upper[0] + settings.margin, nx)
+        self.y = np.linspace(lower[1] - settings.margin, upper[1] + settings.margin, ny)
+        self.yaw = (np.arange(nyaw) + 0.5) / nyaw * 2.0 * math.pi - math.pi
+        self._workspace = workspace
+        self._information = np.full((nx, ny, nyaw), 1.0 / _PRIOR_VARIANCE)
+        self._weighted = self._information * _PRIOR_MEAN
+
+    @property
+    def mean(self) -> np.ndarray:
+        """(nx, ny, nyaw) in [0, 1]."""
+        return self._weighted / self._information
+
+    @property
+    def std(self) -> np.ndarray:
+        """(nx, ny, nyaw)."""
+        return 1.0 / np.sqrt(self._information)
+
+    def update(self, poses: np.ndarray, values: np.ndarray, weights: np.ndarray) -> None:
+        """Measurements (N,) in [0, 1] that point to poses (N, 3) [m, m, rad]; a weight of 1/2 halves the information.
+
+        The variance rises from near_variance at the pose to that over far_pull where the footprint K ends:
+        r = far + K (near - far). The authors let K reach 1 at the border cell next to a pose outside of the grid; here
+        such a measurement is a far one for every cell.
+        """
+        settings = self._settings
+        ratio = 1.0 / settings.far_pull
+        for pose, value, weight in zip(poses, values, weights):
+            along_x = _footprint(self.x - pose[0], settings.kernel_std)
+            along_y = _footprint(self.y - pose[1], settings.kernel_std)
+            along_yaw = _footprint(wrap(self.yaw - pose[2]), settings.kernel_yaw_std)
+            if self._covers(pose):
+                # The cell next to the pose takes the measurement in full, wherever in the cell the pose lies.
+                along_x, along_y, along_yaw = (axis / axis.max() for axis in (along_x, along_y, along_yaw))
+            plane = (1.0 - ratio) * np.multiply.outer(along_x, along_y)
+            information = np.multiply.outer(plane, along_yaw)
+            information += ratio
+            np.divide(weight / settings.near_variance, information, out=information)
+            self._information += information
+            information *= value
+            self._weighted += information
+
+    def over_yaw(self) -> Tuple[np.ndarray, np.ndarray]:
+        """Largest mean over yaw at each place, and the standard deviation there. -> (nx, ny), (nx, ny)."""
+        mean = self.mean
+        best = mean.argmax(axis=2)[..., None]
+        return np.take_along_axis(mean, best, 2)[..., 0], np.take_along_axis(self.std, best, 2)[..., 0]
+
+    def peaks(self, distance: float, most: int) -> List[Tuple[np.ndarray, float, float]]:
+        """Local maxima inside the workspace, the highest first: pose (3,) [m, m, rad], mean and standard deviation.
+
+        No two are closer than a distance [m].
+        """
+        mean = self.mean
+        highest = mean.max(axis=2)
+        spacing = (self.x[1] - self.x[0], self.y[1] - self.y[0])
+        size = [2 * max(1, int(0.5 * distance / step)) + 1 for step in spacing]
+        inside = self._workspace.contains(np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), 0.0 * highest], -1))
+        rows, columns = np.nonzero((maximum_filter(highest, size) == highest) & inside)
+        found: List[Tuple[np.ndarray, float, float]] = []
+        for index in np.argsort(-highest[rows, columns], kind="stable"):
+            row, column = rows[index], columns[index]
+            yaw = int(mean[row, column].argmax())
+            pose = np.array([self.x[row], self.y[column], self.yaw[yaw]])
+            if all(np.hypot(*(pose - other)[:2]) >= distance for other, _, _ in found):
+                std = 1.0 / math.sqrt(self._information[row, column, yaw])
+                found.append((pose, float(highest[row, column]), std))
+            if len(found) == most:
+                break
+        return found
+
+    def _covers(self, pose: np.ndarray) -> bool:
+        return bool(self.x[0] <= pose[0] <= self.x[-1] and self.y[0] <= pose[1] <= self.y[-1])
+
+
+class EvidenceWeights:
+    """How much each image of a stream counts: those from one place share the weight of one.
+
+    The first image of a place counts fully, the n-th one as 1/n: images along a trajectory are not independent.
+    """
+
+    def __init__(self, settings: IdentificationConfig) -> None:
+        self._settings = settings
+        self._seen = np.empty((0, 3))
+
+    def of(self, states: np.ndarray) -> np.ndarray:
+        """Weights (N,) of the next images of the stream, from states (N, 3) [m, m, rad]."""
+        before, settings = len(self._seen), self._settings
+        self._seen = np.concatenate([self._seen, states])
+        if settings.evidence == "counted":
+            return np.ones(len(states))
+        weights = np.empty(len(states))
+        for index, state in enumerate(states):
+            change = self._seen[: before + index + 1] - state
+            near = np.square(change[:, :2] / settings.independence_distance).sum(axis=1)
+            near += np.square(wrap(change[:, 2]) / settings.independence_turn)
+            weights[index] = 1.0 / np.exp(-0.5 * near).sum()
+        return weights
+
+
+def _footprint(away: np.ndarray, std: float) -> np.ndarray:
+    return np.exp(-0.5 * np.square(away / std))

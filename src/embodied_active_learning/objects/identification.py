@@ -1,0 +1,220 @@
+"""Finding fingerprints again: a stream of images goes in, beliefs and decisions come out (paper, Sec. 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import List, Sequence, Tuple
+
+import numpy as np
+
+from embodied_active_learning.config import CameraConfig, IdentificationConfig
+from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
+from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.matching import Matcher, Matches
+from embodied_active_learning.objects.verification import Comparison, Verifier
+from embodied_active_learning.workspace import Workspace
+
+_SAME_CAMERA = ("width", "height", "field_of_view", "distance")
+_CHUNK = 64
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One place where a fingerprint's object was found; or, when it was not, the place where it fitted best."""
+
+    session: str
+    fingerprint: str
+    kind: str
+    found: bool
+    instance: int  # 1, 2, ... of those found; 0 when not found
+    pose: np.ndarray  # (3,) m, m, rad
+    sureness: float  # share of the compared views that agree, 0 to 1
+    mismatch: float  # nat, median over the views; infinite without views
+    views: int  # compared views
+    belief_mean: float
+    belief_std: float
+    reason: str  # for a person
+
+
+class Sought:
+    """One fingerprint that is being looked for."""
+
+    def __init__(
+        self, found: FingerprintSet, fingerprint: Fingerprint, model: LearnedModel, grid: BeliefGrid, verifier: Verifier
+    ) -> None:
+        self.session = found.session
+        self.fingerprint = fingerprint
+        self.model = model
+        self.grid = grid
+        self.verifier = verifier
+        self._parts: List[Matches] = []
+
+    @property
+    def trace(self) -> Matches:
+        """What each image so far has said about it."""
+        if not self._parts:
+            return Matches(np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.float32), np.empty((0, 3)))
+        names = ("view", "distance", "value", "pose")
+        return Matches(*(np.concatenate([getattr(part, name) for part in self._parts]) for name in names))
+
+    def observe(self, matches: Matches, weights: np.ndarray) -> None:
+        """Take what N images say, with the weight (N,) of each."""
+        self._parts.append(matches)
+        self.grid.update(matches.pose, matches.value, weights)
+
+
+class Identification:
+    """Looks for the fingerprints of any number of sessions, each with its own model, in one stream of images."""
+
+    def __init__(
+        self,
+        sets: Sequence[FingerprintSet],
+        workspace: Workspace,
+        camera: CameraConfig,
+        settings: IdentificationConfig,
+    ) -> None:
+        """workspace, camera: those of the stream. Raises ConfigError when a model was trained with another camera."""
+        self._settings = settings
+        self._weights = EvidenceWeights(settings)
+        self._groups: List[Tuple[Matcher, List[Sought]]] = []
+        self.images = 0
+        for found in sets:
+            _check_camera(found, camera)
+            model = LearnedModel(found.config, found.weights)
+            sought = [
+                Sought(
+                    found,
+                    item,
+                    model,
+                    BeliefGrid(workspace, settings),
+                    Verifier(model, item, found.config, settings),
+                )
+                for item in found.fingerprints
+            ]
+            self._groups.append((Matcher(model, found.fingerprints, settings), sought))
+
+    @property
+    def sought(self) -> List[Sought]:
+        """Every fingerprint that is looked for, by session."""
+        return [item for _, group in self._groups for item in group]
+
+    def observe(self, states: np.ndarray, images: np.ndarray) -> None:
+        """Take the next N images (N, H, W, 3) uint8 of the stream, from states (N, 3) [m, m, rad]."""
+        for begin in range(0, len(states), _CHUNK):
+            part = slice(begin, begin + _CHUNK)
+            weights = self._weights.of(states[part])
+            for matcher, sought in self._groups:
+                for item, matches in zip(sought, matcher.match(states[part], images[part])):
+                    item.observe(matches, weights)
+            self.images += len(states[part])
+
+    def decide(self, states: np.ndarray, images: np.ndarray) -> List[Decision]:
+        """Decide for every fingerprint, from the beliefs and from the stream's states (N, 3) and images.
+
+        A fingerprint is found at each candidate, that is, peak of its belief, whose views agree with it. Where several
+        fingerprints of one model claim the same place, the one that more of the views agree with has it.
+        """
+        decisions: List[Decision] = []
+        for _, group in self._groups:
+            candidates = [self._candidates(item, states, images) for item in group]
+            found = [candidate for of_one in candidates for candidate in of_one if candidate.found]
+            for of_one in candidates:
+                kept = [self._contest(candidate, found) for candidate in of_one]
+                decisions += _numbered(kept)
+        return decisions
+
+    def _candidates(self, item: Sought, states: np.ndarray, images: np.ndarray) -> List[Decision]:
+        """Every peak of a belief, the highest first, decided on its own."""
+        settings = self._settings
+        trace = item.trace
+        decided = []
+        for peak, mean, std in item.grid.peaks(settings.separation, settings.candidates):
+            pose = _refined(peak, trace)
+            comparison = item.verifier.compare(pose, states, images)
+            agreeing = self._agreeing(item, comparison, pose)
+            found, reason = self._judge(agreeing, mean)
+            decided.append(
+                Decision(
+                    item.session,
+                    item.fingerprint.name,
+                    item.fingerprint.kind,
+                    found,
+                    0,
+                    pose,
+                    float(agreeing.mean()) if len(agreeing) else 0.0,
+                    comparison.typical,
+                    len(agreeing),
+                    mean,
+                    std,
+                    reason,
+                )
+            )
+        return decided
+
+    def _agreeing(self, item: Sought, comparison: Comparison, pose: np.ndarray) -> np.ndarray:
+        """Which of the compared views (V,) say that the fingerprint's object is at the candidate pose.
+
+        Such a view looks like the fingerprint's own, neither worse explained (another object) nor much better (bare
+        table), and by itself points to that place. A blank is in no particular place.
+        """
+        alike = np.abs(comparison.mismatch) <= self._settings.mismatch_limit
+        if item.fingerprint.kind == BLANK:
+            return alike
+        distance, _ = pose_distance(item.trace.pose[comparison.views], pose)
+        return alike & (distance <= self._settings.agreement_distance)
+
+    def _judge(self, agreeing: np.ndarray, belief: float) -> Tuple[bool, str]:
+        """Whether the fingerprint is found, from the compared views (V,) and the mean belief; and why, for a person."""
+        settings, views = self._settings, len(agreeing)
+        if settings.decision == "belief":
+            found = belief > settings.min_belief
+            return found, f"belief {belief:.2f} {'above' if found else 'not above'} {settings.min_belief:g}"
+        if views < settings.min_views:
+            return False, f"seen from {views} places only, {settings.min_views} are needed"
+        return bool(agreeing.mean() >= settings.min_agreement), f"{agreeing.sum()} of {views} views agree"
+
+    def _contest(self, candidate: Decision, found: Sequence[Decision]) -> Decision:
+        """The candidate, or why another fingerprint of the same model has its place."""
+        if not candidate.found:
+            return candidate
+        for other in found:
+            distance, _ = pose_distance(candidate.pose, other.pose)
+            rival = other.fingerprint != candidate.fingerprint and distance < self._settings.separation
+            if rival and other.sureness > candidate.sureness:
+                return replace(candidate, found=False, reason=f"{other.fingerprint} fits better there")
+        return candidate
+
+
+def _refined(peak: np.ndarray, trace: Matches, distance: float = 0.02, turn: float = 0.5) -> np.ndarray:
+    """The mean of the poses (3,) that images point to next to a peak: finer than the grid's cells."""
+    away, turned = pose_distance(trace.pose, peak)
+    near = (away < distance) & (turned < turn)
+    if not near.any():
+        return peak
+    weights = trace.value[near] / trace.value[near].sum()
+    x, y = weights @ trace.pose[near, :2]
+    yaw = trace.pose[near, 2]
+    return np.array([x, y, np.arctan2(weights @ np.sin(yaw), weights @ np.cos(yaw))])
+
+
+def _numbered(candidates: Sequence[Decision]) -> List[Decision]:
+    """The found ones by number, or the best one that was not. Of a blank, which is everywhere, one is enough."""
+    found = [candidate for candidate in candidates if candidate.found]
+    if not found:
+        return sorted(candidates, key=lambda candidate: (-candidate.sureness, -candidate.belief_mean))[:1]
+    if found[0].kind == BLANK:
+        found = found[:1]
+    return [replace(candidate, instance=number) for number, candidate in enumerate(found, start=1)]
+
+
+def _check_camera(found: FingerprintSet, camera: CameraConfig) -> None:
+    for name in _SAME_CAMERA:
+        trained, given = getattr(found.config.camera, name), getattr(camera, name)
+        if trained != given:
+            raise ConfigError(
+                f"session {found.session} was trained with camera/{name} = {trained}, the images have {given}: "
+                "its fingerprints cannot be compared with them"
+            )
