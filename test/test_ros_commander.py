@@ -52,7 +52,8 @@ def test_a_stop_by_another_node_lasts_until_somebody_recovers_the_arm():
     commander = Commander(5.0, Clock())
     with commander.command(request("/ergodic_planner")):
         pass
-    commander.stop(request("/operator"))
+    with commander.stop(request("/operator")):
+        pass
     with pytest.raises(CommandError, match="stopped by /operator"), commander.command(request("/ergodic_planner")):
         pass
     commander.recover()
@@ -60,11 +61,57 @@ def test_a_stop_by_another_node_lasts_until_somebody_recovers_the_arm():
         pass
 
 
-def test_a_driver_that_stops_its_own_arm_may_go_on():
+def test_a_driver_that_stops_its_own_arm_gives_it_back_at_once():
     commander = Commander(5.0, Clock())
     with commander.command(request("/ergodic_planner")):
         pass
-    commander.stop(request("/ergodic_planner"))
+    with commander.stop(request("/ergodic_planner")):
+        assert commander.holder == "/ergodic_planner", "another node would move the arm before it has stopped"
+    assert commander.holder == ""
+    with commander.command(request("/fingerprinter")):
+        assert commander.holder == "/fingerprinter"
+
+
+def test_a_driver_that_stops_its_own_arm_may_go_on():
+    commander = Commander(5.0, Clock())
+    for _ in range(2):
+        with commander.command(request("/ergodic_planner")):
+            pass
+        with commander.stop(request("/ergodic_planner")):
+            pass
+    with commander.command(request("/ergodic_planner")):
+        assert commander.holder == "/ergodic_planner"
+    assert commander.holder == "/ergodic_planner"
+
+
+def test_a_driver_that_stops_its_arm_amid_a_command_gives_it_back_after_the_command():
+    commander = Commander(5.0, Clock())
+    with commander.command(request("/ergodic_planner")):
+        with commander.stop(request("/ergodic_planner")):
+            pass
+        with pytest.raises(CommandError, match="carrying out"), commander.command(request("/fingerprinter")):
+            pass
+    assert commander.holder == ""
+
+
+def test_a_stop_by_the_last_driver_stops_the_next_one_like_anybody_elses():
+    commander = Commander(5.0, Clock())
+    with commander.command(request("/ergodic_planner")):
+        pass
+    with commander.stop(request("/ergodic_planner")):
+        pass
+    with commander.command(request("/fingerprinter")):
+        pass
+    with commander.stop(request("/ergodic_planner")):
+        pass
+    with pytest.raises(CommandError, match="stopped by /ergodic_planner"), commander.command(request("/fingerprinter")):
+        pass
+
+
+def test_a_stop_of_an_arm_that_nobody_drives_holds_nobody_up():
+    commander = Commander(5.0, Clock())
+    with commander.stop(request("/operator")):
+        pass
     with commander.command(request("/ergodic_planner")):
         pass
 

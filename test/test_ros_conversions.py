@@ -1,5 +1,7 @@
 """Messages to arrays and back, without a master."""
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 import rospy
@@ -83,6 +85,24 @@ def test_a_path_holds_its_states_and_headings():
     pose = path.poses[0].pose
     assert (pose.position.x, pose.position.y, pose.position.z) == (0.4, 0.1, 0.3)
     assert pose.orientation.z == pytest.approx(np.sqrt(0.5))
+
+
+def test_a_grid_has_x_along_its_width_and_its_corner_half_a_cell_before_the_first_middle():
+    values = np.array([[0.0, 0.2], [0.5, 1.0], [0.004, 0.996]])
+    grid = conversions.occupancy_grid_message(STAMP, values, 0.35, -0.1, 0.1)
+    assert (grid.info.width, grid.info.height, grid.info.resolution) == (3, 2, 0.1)
+    assert grid.data == [0, 50, 0, 20, 100, 100]
+    corner = grid.info.origin.position
+    assert (corner.x, corner.y, corner.z) == pytest.approx((0.3, -0.15, 0.0))
+    assert grid.info.origin.orientation.w == 1.0
+    assert (grid.header.frame_id, grid.header.stamp) == ("panda_link0", STAMP)
+
+
+@given(st.floats(-1.0, 2.0))
+def test_a_grid_that_can_be_sent_holds_nothing_beyond_0_and_100(value):
+    grid = conversions.occupancy_grid_message(STAMP, np.full((1, 1), value), 0.0, 0.0, 0.1)
+    assert grid.data == [round(100.0 * min(max(value, 0.0), 1.0))]
+    grid.serialize(BytesIO())
 
 
 def test_the_workspace_is_drawn_as_twelve_edges():

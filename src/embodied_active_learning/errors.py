@@ -27,3 +27,11 @@ class ObservationError(EmbodiedActiveLearningError, ValueError):
 
 class CommandError(EmbodiedActiveLearningError, ValueError):
     """A motion command was refused, and the arm stands still."""
+
+
+class BusyError(EmbodiedActiveLearningError):
+    """What was asked for can be done only once at a time, and is under way."""
+
+
+class UnansweredError(CommandError):
+    """A motion command was not answered: whether the arm carries it out is not known."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
-from embodied_active_learning.msg import Observation, TargetDistribution, TrainingStatus
+from embodied_active_learning.msg import Observation, PlanarState, TargetDistribution, TrainingStatus
 from embodied_active_learning.srv import (
     Encode,
     EncodeRequest,
@@ -24,6 +24,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 import rostest
+from embodied_active_learning.ros.conversions import state_arrays
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
 
@@ -67,6 +68,17 @@ class LearnTest(unittest.TestCase):
         for topic, message_class in (("travelled_path", PathMessage), ("target_cloud", PointCloud2)):
             message = rospy.wait_for_message(topic, message_class, TIMEOUT)
             self.assertEqual(message.header.frame_id, "panda_link0")
+
+    def test_a_paused_planner_has_given_the_arm_back(self):
+        pause, resume = service("planner/pause", Trigger), service("planner/resume", Trigger)
+        self.assertEqual(pause().message, "paused")
+        state = rospy.wait_for_message("arm/state", PlanarState, TIMEOUT)
+        np.testing.assert_allclose(state_arrays(state)[1], 0.0, atol=1e-4)
+        answer = service("arm/move", MoveArm)(0.05, 0.0, 0.0, 0.2)
+        self.assertTrue(answer.success, answer.message)
+        self.assertTrue(service("arm/stop", Trigger)().success)
+        self.assertTrue(resume().success)
+        rospy.wait_for_message("observation", Observation, TIMEOUT)
 
     def test_another_node_cannot_drive_the_arm_meanwhile(self):
         answer = service("arm/move", MoveArm)(0.1, 0.0, 0.0, 0.2)
@@ -134,6 +146,8 @@ class LearnTest(unittest.TestCase):
         for name in ("learning_metrics", "reconstructions", "entropy"):
             self.assertTrue((session.paths.figures / f"{name}.png").exists(), name)
         self.assertTrue(service("trainer/save", Trigger)().success)
+        answer = service("planner/pause", Trigger)()
+        self.assertEqual((answer.success, answer.message), (False, "exploration is complete"))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,16 @@
 #!/usr/bin/env python3
 """The planner when arm or camera fail: it holds the arm still, says why, stores nothing wrong, and goes on."""
 
+import os
+import signal
 import threading
 import time
 import unittest
+from contextlib import contextmanager
+from xmlrpc.client import ServerProxy
 
 import numpy as np
+import rosgraph
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from embodied_active_learning.msg import Observation, PlanarState
@@ -26,15 +31,22 @@ class FaultyArm:
         self.state = np.array([0.475, 0.0, 0.0])
         self.fault = ""
         self.commands = []
+        self.last_call = ""
+        self.released = threading.Event()
         self._images = rospy.Publisher("camera/image_raw", Image, queue_size=1)
         self._states = rospy.Publisher("arm/state", PlanarState, queue_size=1)
         rospy.Service("arm/move", MoveArm, self.move)
         rospy.Service("arm/go_to", GoToPose, lambda request: None)
-        rospy.Service("arm/stop", Trigger, lambda request: TriggerResponse(True, ""))
+        rospy.Service("arm/stop", Trigger, self.stop)
 
     def move(self, request):
         velocity = np.array([request.vx, request.vy, request.omega])
         self.commands.append(velocity)
+        self.last_call = "move"
+        if self.fault == "slow":
+            threading.Event().wait(1.0)
+        if self.fault == "frozen":
+            self.released.wait(TIMEOUT)
         if self.fault == "reflex":
             return MoveArmResponse(False, "the robot is in reflex mode", PlanarState(), False)
         self.state = self.state + request.duration * velocity
@@ -46,6 +58,10 @@ class FaultyArm:
         if self.fault != "camera is silent":
             self._images.publish(self.image(message.header.stamp))
         return MoveArmResponse(True, "", message, False)
+
+    def stop(self, _request):
+        self.last_call = "stop"
+        return TriggerResponse(True, "")
 
     def image(self, stamp):
         if self.fault == "image of another size":
@@ -76,6 +92,11 @@ class PlannerFaultsTest(unittest.TestCase):
     def setUp(self):
         self.arm.fault = ""
         self.wait_for_progress()
+
+    def tearDown(self):
+        self.arm.fault = ""
+        self.arm.released.set()
+        self.call("planner/resume")
 
     def wait_for(self, condition, what):
         waiting, ends_at = threading.Event(), time.monotonic() + TIMEOUT
@@ -114,14 +135,81 @@ class PlannerFaultsTest(unittest.TestCase):
     def test_an_arm_that_refuses(self):
         self.check_that_it_holds_still_and_recovers("reflex", "reflex mode")
 
-    def test_a_paused_planner_moves_nothing_until_it_is_resumed(self):
-        self.assertTrue(rospy.ServiceProxy("planner/pause", Trigger)().success)
-        self.wait_for(lambda: self.health["planner"].message == "paused", "it did not pause")
+    def call(self, name):
+        return rospy.ServiceProxy(name, Trigger)()
+
+    def check_that_it_pauses(self, message="paused"):
+        answer = self.call("planner/pause")
+        self.assertEqual((answer.success, answer.message), (True, message))
+        self.assertEqual(self.arm.last_call, "stop")
         commands = len(self.arm.commands)
-        threading.Event().wait(1.5)
-        self.assertLessEqual(len(self.arm.commands), commands + 1)
-        self.assertTrue(rospy.ServiceProxy("planner/resume", Trigger)().success)
+        self.wait_for(lambda: self.health["planner"].message == "paused", "it did not pause")
+        threading.Event().wait(1.0)
+        self.assertEqual((len(self.arm.commands), self.arm.last_call), (commands, "stop"))
+
+    def check_that_it_resumes(self):
+        resumed_at = len(self.arm.commands)
+        answer = self.call("planner/resume")
+        self.assertEqual((answer.success, answer.message), (True, "exploring"))
         self.wait_for_progress()
+        np.testing.assert_array_equal(self.arm.commands[resumed_at], 0.0, "it has to look first")
+
+    def test_a_paused_planner_moves_nothing_until_it_is_resumed(self):
+        self.check_that_it_pauses()
+        self.check_that_it_resumes()
+
+    def test_a_pause_is_answered_after_the_step_under_way(self):
+        self.arm.fault = "slow"
+        count = len(self.arm.commands)
+        self.wait_for(lambda: len(self.arm.commands) > count, "no step began")
+        self.check_that_it_pauses()
+        self.arm.fault = ""
+        self.check_that_it_resumes()
+
+    def test_a_pause_and_a_resume_tell_whether_they_changed_anything(self):
+        answer = self.call("planner/resume")
+        self.assertEqual((answer.success, answer.message), (False, "was not paused"))
+        self.check_that_it_pauses()
+        answer = self.call("planner/pause")
+        self.assertEqual((answer.success, answer.message), (False, "paused already"))
+        self.check_that_it_resumes()
+
+    def test_a_planner_in_trouble_can_be_paused(self):
+        self.arm.fault = "camera is silent"
+        self.wait_for(lambda: self.health["planner"].level > 0, "the trouble was not said")
+        self.check_that_it_pauses()
+        self.arm.fault = ""
+        self.check_that_it_resumes()
+
+    def test_a_planner_that_waits_for_the_trainer_can_be_paused(self):
+        with self.frozen("/trainer"):
+            threading.Event().wait(1.0)
+            self.check_that_it_pauses()
+        self.check_that_it_resumes()
+
+    def test_a_pause_that_the_arm_does_not_confirm_says_so_and_stops_the_arm_later(self):
+        self.arm.released.clear()
+        self.arm.fault = "frozen"
+        count = len(self.arm.commands)
+        self.wait_for(lambda: len(self.arm.commands) > count, "no step began")
+        answer = self.call("planner/pause")
+        self.assertTrue(answer.success)
+        self.assertIn("it is not certain that the arm stands still: the arm has not answered", answer.message)
+        self.arm.fault = ""
+        self.arm.released.set()
+        self.wait_for(lambda: self.arm.last_call == "stop", "the arm was not stopped")
+        self.check_that_it_resumes()
+
+    @contextmanager
+    def frozen(self, node):
+        """A node that does not answer while the block lasts."""
+        api = rosgraph.Master("/check_planner_faults").lookupNode(node)
+        _, _, pid = ServerProxy(api).getPid("/check_planner_faults")
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(pid, signal.SIGCONT)
 
     def test_z_everything_stored_is_where_the_arm_was(self):
         states = np.array(rospy.ServiceProxy("trainer/trajectory", GetTrajectory)().states).reshape(-1, 3)

@@ -106,6 +106,15 @@ class PyBulletArmTest(unittest.TestCase):
         self.assertTrue(rospy.ServiceProxy("arm/recover", Trigger)().success)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
+    def test_a_driver_that_stops_its_arm_leaves_it_to_others_at_once(self):
+        headers = {"callerid": "/another_node"}
+        move = rospy.ServiceProxy("arm/move", MoveArm, headers=headers)
+        self.assertIn("driven by /check_pybullet_arm", move(0.05, 0.0, 0.0, 0.2).message)
+        self.assertTrue(self.stop().success)
+        answer = move(0.05, 0.0, 0.0, 0.2)
+        self.assertTrue(answer.success, answer.message)
+        self.assertTrue(rospy.ServiceProxy("arm/stop", Trigger, headers=headers)().success)
+
     def test_the_arm_stands_still_after_a_stop(self):
         self.move(0.1, 0.0, 0.0, 0.2)
         self.assertTrue(self.stop().success)

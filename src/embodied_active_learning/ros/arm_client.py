@@ -1,4 +1,4 @@
-"""The planner's side of the arm: commands that report refusal as an error."""
+"""A commander's side of the arm: commands that report refusal as an error."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Sequence
 import rospy
 from std_srvs.srv import Trigger
 
-from embodied_active_learning.errors import CommandError
+from embodied_active_learning.errors import CommandError, UnansweredError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.node import wait_until
@@ -16,7 +16,7 @@ from embodied_active_learning.srv import GoToPose, MoveArm
 
 
 class ArmClient:
-    """Moves the arm through its services. Commands are never sent twice: an unanswered one is a CommandError."""
+    """Moves the arm through its services. Commands are never sent twice: an unanswered one is an UnansweredError."""
 
     def __init__(self) -> None:
         self._move = rospy.ServiceProxy(names.ARM_MOVE, MoveArm)
@@ -45,7 +45,7 @@ class ArmClient:
             with saying_who_is_awaited(service.resolved_name):
                 answer = service(*arguments)
         except TRANSPORT_ERRORS as error:
-            raise CommandError(f"{service.resolved_name} did not answer: {error}") from error
+            raise UnansweredError(f"{service.resolved_name} did not answer: {error}") from error
         if not answer.success:
             raise CommandError(answer.message)
         return answer

@@ -13,7 +13,8 @@ from embodied_active_learning.errors import CommandError
 class Commander:
     """Keeps the arm to the node that drives it, until that node has been silent for a while (wall seconds).
 
-    Everyone may stop the arm. When it is not its driver who does, no command is taken until somebody calls recover.
+    Everyone may stop the arm. When its driver does, the arm is free at once; when another node does while it is driven,
+    no command is taken until somebody calls recover.
     """
 
     def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -21,6 +22,7 @@ class Commander:
         self._clock = clock
         self._lock = threading.Lock()
         self._holder = ""
+        self._kept = False  # whether the holder has the arm between its commands too, until it expires
         self._expires = 0.0
         self._busy = False
         self._stopped_by = ""
@@ -42,12 +44,17 @@ class Commander:
         with self._lock:
             return self._holder if self._is_held() else ""
 
-    def stop(self, request: Any) -> None:
-        """Somebody stops the arm; if another node is driving it, for good."""
+    @contextmanager
+    def stop(self, request: Any) -> Iterator[None]:
+        """The time of a stop. While another node drives the arm it lasts for good; its driver then gives it back."""
         caller = name_of_caller(request)
         with self._lock:
             if self._is_held() and caller != self._holder:
                 self._stopped_by = caller
+        yield
+        with self._lock:
+            if caller == self._holder:
+                self._kept = False
 
     def recover(self) -> None:
         """Take commands again."""
@@ -65,10 +72,10 @@ class Commander:
                     f"the arm is driven by {self._holder}: stop that node, or try again {self._timeout:g} s after its "
                     "last command"
                 )
-            self._holder, self._busy = caller, True
+            self._holder, self._busy, self._kept = caller, True, True
 
     def _is_held(self) -> bool:
-        return self._busy or (bool(self._holder) and self._clock() < self._expires)
+        return self._busy or (self._kept and self._clock() < self._expires)
 
 
 def name_of_caller(request: Any) -> str:

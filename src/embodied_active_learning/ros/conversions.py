@@ -8,7 +8,7 @@ from typing import Sequence, Tuple
 import numpy as np
 import rospy
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from nav_msgs.msg import Path
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
@@ -94,6 +94,18 @@ def cloud_message(stamp: rospy.Time, points: np.ndarray, values: np.ndarray) -> 
     fields = [PointField(n, 4 * i, PointField.FLOAT32, 1) for i, n in enumerate(("x", "y", "z", "intensity"))]
     header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
     return PointCloud2(header, 1, len(data), fields, False, 16, 16 * len(data), data.tobytes(), True)
+
+
+def occupancy_grid_message(stamp: rospy.Time, values: np.ndarray, x0: float, y0: float, cell: float) -> OccupancyGrid:
+    """Values (nx, ny), 0 .. 1, of square cells -> nav_msgs/OccupancyGrid with 0 .. 100 on the table.
+
+    (x0, y0) is the middle of the first cell, and cell the length of a side [m].
+    """
+    width, height = values.shape
+    corner = _pose((x0 - cell / 2.0, y0 - cell / 2.0, 0.0), 0.0)
+    percent = np.rint(100.0 * np.clip(values, 0.0, 1.0)).astype(np.int8)
+    header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
+    return OccupancyGrid(header, MapMetaData(stamp, cell, width, height, corner), percent.T.ravel().tolist())
 
 
 def workspace_marker(workspace: Workspace, height: float) -> Marker:

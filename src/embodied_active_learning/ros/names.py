@@ -22,6 +22,15 @@ PLANNER_RESUME = "planner/resume"
 OBSERVATION = "observation"
 TARGET_DISTRIBUTION = "target_distribution"
 
+FINGERPRINT = "fingerprint"
+FINGERPRINTS = "fingerprints"
+FINGERPRINT_MARKERS = "fingerprint_markers"
+
+IDENTIFY = "identify"
+BELIEFS = "beliefs"
+BELIEF_GRIDS = "belief_grids"
+DECISION_MARKERS = "decision_markers"
+
 TRAVELLED_PATH = "travelled_path"
 PLANNED_PATH = "planned_path"
 TARGET_CLOUD = "target_cloud"

@@ -1,0 +1,215 @@
+"""Arm and camera as a node uses them that moves and looks by turns: with patience, and pausable from outside."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NotInTimeError
+from typing import Optional, Sequence, Tuple
+
+import numpy as np
+import rospy
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import (
+    CommandError,
+    EmbodiedActiveLearningError,
+    ObservationError,
+    UnansweredError,
+)
+from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
+from embodied_active_learning.msg import PlanarState
+from embodied_active_learning.ros.arm_client import ArmClient
+from embodied_active_learning.ros.node import REPEAT_AFTER, pause, wait_until
+from embodied_active_learning.ros.posed_camera import PosedCamera
+
+RETRY_PERIOD = 0.5
+"""Wall seconds between two tries."""
+STOP_TIMEOUT = 10.0
+"""Wall seconds within which an arm is expected to finish a command and stop."""
+
+
+class GuidedArm:
+    """Moves and looks. What fails is said, and again every few seconds; the arm is held still and it is tried again.
+
+    One thread moves and looks; any thread may call pause, resume and stop, and read the properties.
+    """
+
+    def __init__(self, config: Config, patience: Optional[float] = None) -> None:
+        """Patience: wall seconds of failures after which a call raises the last one; None tries for ever.
+
+        An arm that has taken a command is waited for until it answers, whatever the patience.
+        """
+        self._patience = math.inf if patience is None else patience
+        self._timeout = config.arm.commander_timeout
+        self._camera = PosedCamera(config.camera)
+        self._arm = ArmClient()
+        self._turn = threading.Lock()  # held by the thread that talks to the arm
+        self._switch = threading.Lock()
+        self._going = threading.Event()
+        self._going.set()
+        self._awaited = ""
+        self._commanded_at = -math.inf
+        self._held = False
+        self._trouble = ""
+        self._said_at = -math.inf
+        self._standing = VelocityCommand(0.0, 0.0, 0.0, config.exploration.step_duration)
+
+    @property
+    def standing(self) -> VelocityCommand:
+        """The command that holds the arm still for the time of one exploration step."""
+        return self._standing
+
+    @property
+    def trouble(self) -> str:
+        """Why the arm is held still, for /diagnostics; empty when it goes on."""
+        return self._trouble
+
+    @property
+    def held(self) -> bool:
+        """Whether anything was held still for since the last call of execute or go_to began."""
+        return self._held
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether this node still has the arm from its last command; if not, others may have moved it since."""
+        return time.monotonic() <= self._commanded_at + self._timeout
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether commands are held back."""
+        return not self._going.is_set()
+
+    def wait(self) -> None:
+        """Return once arm and camera are there. Raises ShutdownRequestedError."""
+        self._arm.wait()
+        wait_until(lambda: self._camera.connected, lambda: "publishers of images and arm states")
+
+    def look(self, reached: PlanarState) -> Tuple[rospy.Time, np.ndarray, PlanarState]:
+        """The first image since a state was reached -> (stamp, image (H, W, 3) uint8, state it was taken from).
+
+        Raises ObservationError or CommandError when patience has ended, and ShutdownRequestedError.
+        """
+        gives_up_at = time.monotonic() + self._patience
+        while True:
+            try:
+                seen = self._camera.take(reached.header.stamp)
+                break
+            except ObservationError as error:
+                self._bear(error, gives_up_at)
+                reached = self._insist(self._standing, self._standing, gives_up_at)
+        self._trouble = ""
+        return seen
+
+    def execute(self, command: Command) -> PlanarState:
+        """Carry out a command, or hold still instead when it fails or was planned before a pause -> the state reached.
+
+        Raises CommandError when patience has ended, and ShutdownRequestedError.
+        """
+        self._held = False
+        return self._insist(command, self._standing, time.monotonic() + self._patience)
+
+    def go_to(self, pose: Sequence[float]) -> PlanarState:
+        """Go to pose (3,) [m, m, rad], trying until the arm gets there -> the state reached.
+
+        Raises CommandError when patience has ended, and ShutdownRequestedError.
+        """
+        self._held = False
+        command = PoseCommand(*map(float, pose))
+        reached = self._insist(command, command, time.monotonic() + self._patience)
+        self._trouble = ""
+        return reached
+
+    def stop(self, timeout: float = STOP_TIMEOUT) -> None:
+        """Stop the arm behind the command under way, and give it back; an arm that is not ours is left alone.
+
+        Raises CommandError when that is not certain after timeout [s of wall time]; it happens then as soon as the arm
+        answers.
+        """
+        # In a thread, because no call of a service can be given up.
+        outcome: Future = Future()
+        threading.Thread(target=self._give_back, args=(outcome,), daemon=True).start()
+        try:
+            outcome.result(timeout)
+        except NotInTimeError as error:
+            raise CommandError(f"the arm has not answered within {timeout:g} s") from error
+
+    def pause(self, awaited: str) -> bool:
+        """Hold back every command from now on, saying what is awaited -> False when it was so already.
+
+        The command under way goes on: call stop to have the arm stand still.
+        """
+        with self._switch:
+            changed = not self.is_paused
+            self._awaited = awaited
+            self._going.clear()
+            return changed
+
+    def resume(self) -> bool:
+        """Let commands through again -> False when nothing was paused."""
+        with self._switch:
+            changed = self.is_paused
+            self._going.set()
+            return changed
+
+    def wait_while_paused(self) -> bool:
+        """Return as soon as commands are let through -> whether that took waiting. Raises ShutdownRequestedError."""
+        if not self.is_paused:
+            return False
+        wait_until(self._going.is_set, lambda: self._awaited)
+        return True
+
+    def _insist(self, command: Command, instead: Command, gives_up_at: float) -> PlanarState:
+        """Carry out a command; when it fails, or a pause came before it, then another one until that succeeds."""
+        while True:
+            if self.wait_while_paused():
+                command, self._held = instead, True
+            try:
+                with self._turn:
+                    if self.is_paused:
+                        continue
+                    return self._send(command)
+            except CommandError as error:
+                self._bear(error, gives_up_at)
+                command = instead
+
+    def _send(self, command: Command) -> PlanarState:
+        try:
+            if isinstance(command, VelocityCommand):
+                reached = self._arm.move(command.velocity, command.duration)
+            else:
+                reached = self._arm.go_to((command.x, command.y, command.theta))
+        except UnansweredError:
+            self._commanded_at = time.monotonic()  # it may have been taken all the same
+            raise
+        self._commanded_at = time.monotonic()
+        return reached
+
+    def _give_back(self, outcome: Future) -> None:
+        try:
+            with self._turn:
+                # The arm takes a stop by anybody but its driver for an emergency.
+                if self.is_ours:
+                    self._arm.stop()
+                    self._commanded_at = -math.inf
+            outcome.set_result(None)
+        except CommandError as error:
+            outcome.set_exception(error)
+
+    def _bear(self, error: EmbodiedActiveLearningError, gives_up_at: float) -> None:
+        """Say what is wrong and wait for the next try; raise it when patience has ended."""
+        if time.monotonic() >= gives_up_at:
+            self._trouble = ""
+            raise error
+        self._held = True
+        self._say(str(error))
+        pause(RETRY_PERIOD)
+
+    def _say(self, trouble: str) -> None:
+        """Say what is wrong when it is new, and again every few seconds of wall time: other time may stand still."""
+        if trouble != self._trouble or time.monotonic() > self._said_at + REPEAT_AFTER:
+            rospy.logwarn("the arm stands still: %s", trouble)
+            self._said_at = time.monotonic()
+        self._trouble = trouble

@@ -1,0 +1,231 @@
+"""Moving and looking with patience, and pauses, with an arm and a camera that fail on demand and without a master."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+import rospy
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CommandError, ObservationError, UnansweredError
+from embodied_active_learning.exploration.commands import VelocityCommand
+from embodied_active_learning.ros import guided_arm
+from embodied_active_learning.ros.conversions import state_message
+
+FORWARD = VelocityCommand(0.1, 0.0, 0.0, 0.2)
+REACHED = state_message(rospy.Time(1), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+class Arm:
+    """Records what it is told; the next calls fail with `failures`, in their order."""
+
+    def __init__(self):
+        self.told = []
+        self.failures = []
+        self.answers = threading.Event()
+        self.answers.set()
+
+    def move(self, velocity, duration):
+        return self._answer(("move", *velocity))
+
+    def go_to(self, pose):
+        return self._answer(("go_to", *pose))
+
+    def stop(self):
+        self._answer(("stop",))
+
+    def _answer(self, told):
+        self.told.append(told)
+        assert self.answers.wait(10.0)
+        if self.failures:
+            raise self.failures.pop(0)
+        return REACHED
+
+
+class Camera:
+    def __init__(self):
+        self.failures = []
+
+    def take(self, after):
+        if self.failures:
+            raise self.failures.pop(0)
+        return after, np.zeros((2, 2, 3), np.uint8), REACHED
+
+
+@pytest.fixture
+def arm(monkeypatch):
+    arm = Arm()
+    monkeypatch.setattr(guided_arm, "ArmClient", lambda: arm)
+    return arm
+
+
+@pytest.fixture
+def camera(monkeypatch):
+    camera = Camera()
+    monkeypatch.setattr(guided_arm, "PosedCamera", lambda config: camera)
+    monkeypatch.setattr(guided_arm, "RETRY_PERIOD", 0.01)
+    return camera
+
+
+@pytest.fixture
+def guided(arm, camera):
+    return guided_arm.GuidedArm(Config())
+
+
+def in_a_thread(function, *arguments):
+    thread = threading.Thread(target=function, args=arguments, daemon=True)
+    thread.start()
+    return thread
+
+
+def wait_for(condition):
+    ends_at = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < ends_at
+        time.sleep(0.005)
+
+
+def test_a_refused_command_becomes_standing_still_until_the_arm_takes_that(arm, guided):
+    arm.failures = [CommandError("refused"), CommandError("refused again")]
+    assert guided.execute(FORWARD) is REACHED
+    assert arm.told == [("move", 0.1, 0.0, 0.0), ("move", 0.0, 0.0, 0.0), ("move", 0.0, 0.0, 0.0)]
+    assert guided.held
+    assert guided.trouble == "refused again"
+    guided.look(REACHED)
+    assert guided.trouble == ""
+    guided.execute(FORWARD)
+    assert not guided.held
+
+
+def test_a_pose_that_was_refused_is_tried_again(arm, guided):
+    arm.failures = [CommandError("refused")]
+    guided.go_to((0.4, 0.1, 1.0))
+    assert arm.told == 2 * [("go_to", 0.4, 0.1, 1.0)]
+    assert guided.trouble == ""
+
+
+def test_an_image_is_awaited_standing_still(arm, camera, guided):
+    camera.failures = [ObservationError("no image")]
+    stamp, image, state = guided.look(REACHED)
+    assert (stamp, image.shape, state) == (REACHED.header.stamp, (2, 2, 3), REACHED)
+    assert arm.told == [("move", 0.0, 0.0, 0.0)]
+    assert guided.held
+
+
+@pytest.mark.parametrize("act", [lambda arm: arm.execute(FORWARD), lambda arm: arm.go_to((0.4, 0.1, 1.0))])
+def test_when_patience_has_ended_the_last_refusal_is_raised(arm, camera, act):
+    guided = guided_arm.GuidedArm(Config(), patience=0.2)
+    arm.failures = [CommandError(f"refusal {count}") for count in range(10**4)]
+    with pytest.raises(CommandError, match="refusal") as refusal:
+        act(guided)
+    assert str(refusal.value) == f"refusal {len(arm.told) - 1}"
+    assert len(arm.told) > 1
+    assert guided.trouble == "", "nobody is trying any more"
+
+
+def test_when_patience_has_ended_the_missing_image_is_told(arm, camera):
+    guided = guided_arm.GuidedArm(Config(), patience=0.0)
+    camera.failures = [ObservationError("no image")]
+    with pytest.raises(ObservationError, match="no image"):
+        guided.look(REACHED)
+    assert arm.told == []
+
+
+def test_patience_for_an_image_counts_the_refusals_meanwhile(arm, camera):
+    guided = guided_arm.GuidedArm(Config(), patience=0.2)
+    camera.failures = [ObservationError("no image")]
+    arm.failures = [CommandError("refused") for _ in range(10**4)]
+    started = time.monotonic()
+    with pytest.raises(CommandError, match="refused"):
+        guided.look(REACHED)
+    assert time.monotonic() - started < 2.0
+
+
+def test_a_stop_gives_the_arm_back_and_is_asked_for_once(arm, guided):
+    guided.execute(FORWARD)
+    assert guided.is_ours
+    guided.stop()
+    assert not guided.is_ours
+    guided.stop()
+    assert arm.told.count(("stop",)) == 1
+
+
+def test_an_arm_that_another_node_drives_is_not_stopped(arm, guided):
+    arm.failures = [CommandError("driven by another node") for _ in range(10**4)]
+    command = in_a_thread(guided.execute, FORWARD)
+    wait_for(lambda: len(arm.told) > 2)
+    guided.stop()
+    assert ("stop",) not in arm.told
+    arm.failures.clear()
+    command.join(10.0)
+
+
+def test_an_arm_that_may_have_taken_a_command_is_stopped(arm, camera):
+    guided = guided_arm.GuidedArm(Config(), patience=0.0)
+    arm.failures = [UnansweredError("the connection broke")]
+    with pytest.raises(CommandError, match="broke"):
+        guided.execute(FORWARD)
+    guided.stop()
+    assert arm.told[-1] == ("stop",)
+
+
+def test_a_stop_that_fails_or_is_not_answered_is_an_error_and_happens_later(arm, guided):
+    guided.execute(FORWARD)
+    arm.failures = [CommandError("it keeps moving")]
+    with pytest.raises(CommandError, match="keeps moving"):
+        guided.stop()
+    arm.answers.clear()
+    step = in_a_thread(guided.execute, FORWARD)
+    wait_for(lambda: arm.told[-1][0] == "move")
+    with pytest.raises(CommandError, match=r"not answered within 0\.1 s"):
+        guided.stop(0.1)
+    arm.answers.set()
+    step.join(10.0)
+    wait_for(lambda: not guided.is_ours)
+    assert arm.told[-1] == ("stop",)
+
+
+def test_pause_and_resume_tell_whether_they_changed_anything(guided):
+    assert not guided.resume()
+    assert guided.pause("a call")
+    assert not guided.pause("a call")
+    assert guided.is_paused
+    assert guided.resume()
+    assert not guided.is_paused
+    assert not guided.wait_while_paused()
+
+
+def test_a_stop_in_a_pause_comes_after_the_command_under_way_and_nothing_after_it(arm, guided):
+    guided.execute(FORWARD)
+    arm.answers.clear()
+    step = in_a_thread(guided.execute, FORWARD)
+    wait_for(lambda: len(arm.told) == 2)
+    guided.pause("a call")
+    stop = in_a_thread(guided.stop)
+    time.sleep(0.1)
+    assert len(arm.told) == 2, "the command under way has not been answered"
+    arm.answers.set()
+    step.join(10.0)
+    stop.join(10.0)
+    later = in_a_thread(guided.execute, FORWARD)
+    time.sleep(0.1)
+    assert arm.told[2:] == [("stop",)]
+    guided.resume()
+    later.join(10.0)
+    assert arm.told[3:] == [("move", 0.0, 0.0, 0.0)], "the velocity was chosen for where the arm was before"
+    assert guided.held
+
+
+def test_a_pause_also_ends_the_tries_of_an_arm_in_trouble(arm, camera, guided):
+    camera.failures = [ObservationError("no image") for _ in range(10**4)]
+    look = in_a_thread(guided.look, REACHED)
+    wait_for(lambda: len(arm.told) > 2)
+    guided.pause("a call")
+    guided.stop()
+    time.sleep(0.1)
+    assert arm.told[-1] == ("stop",)
+    camera.failures.clear()
+    guided.resume()
+    look.join(10.0)
+    assert not look.is_alive()
