@@ -37,7 +37,7 @@ class TrainingRun:
         self._changed = threading.Condition()
         self._save_asked = False
         self._saved: Optional[Path] = None
-        self._model_saved = False
+        self._complete = False
         self._restore()
         self._training_table = self._open_table("training")
         self._evaluation_table = self._open_table("evaluation")
@@ -69,8 +69,8 @@ class TrainingRun:
 
     @property
     def finished(self) -> bool:
-        """Whether every update of the run is made and the final model is written."""
-        return self._model_saved
+        """Whether every update of the run is made and the final model, if anything was learned, is written."""
+        return self._complete
 
     @property
     def trajectory(self) -> np.ndarray:
@@ -192,8 +192,8 @@ class TrainingRun:
         return self.updates < self.updates_due or self._is_complete()
 
     def _is_complete(self) -> bool:
-        """Whether all is observed and, once no update is due, only the final model is missing."""
-        return not self._model_saved and self.observations >= self._config.exploration.steps
+        """Whether all is observed and, once no update is due, only the final model, if there is one, is missing."""
+        return not self._complete and self.observations >= self._config.exploration.steps
 
     def _wait_for_updates(self, count: int, timeout: float) -> bool:
         with self._changed:
@@ -201,10 +201,11 @@ class TrainingRun:
 
     def _finish(self) -> None:
         self._checkpoint()
-        tensors, _ = self._learner.state()
-        facts = {"updates": self.updates, "observations": self.observations}
-        save_model(self._session.paths.model, network_weights(tensors), facts)
-        self._model_saved = True
+        if self.updates:
+            tensors, _ = self._learner.state()
+            facts = {"updates": self.updates, "observations": self.observations}
+            save_model(self._session.paths.model, network_weights(tensors), facts)
+        self._complete = True
 
     def _save_if_asked(self) -> None:
         if self._save_asked:

@@ -13,6 +13,7 @@ class Stream(IntEnum):
     SAMPLES = 101
     EXPLORER = 102
     EVALUATION = 103
+    CLUSTERING = 104
 
 
 def continued_seed(seed: int, visited: int) -> int:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from sklearn.cluster import MeanShift
 
 from embodied_active_learning.config import Config, FingerprintConfig
+from embodied_active_learning.exploration.streams import Stream, generator
 from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
@@ -54,7 +55,7 @@ def find_objects(model: LearnedModel, states: np.ndarray, images: np.ndarray, co
 
     states: (N, 3) [m, m, rad] and images: (N, H, W, 3) uint8 that the model learned from. One seed gives one result.
     """
-    settings, random = config.fingerprint, np.random.default_rng(seed)
+    settings, random = config.fingerprint, generator(seed, Stream.CLUSTERING)
     chosen = np.sort(random.choice(len(states), min(settings.latents, len(states)), replace=False))
     latents, _ = model.encode(states[chosen], images[chosen])
     box = config.workspace.box()

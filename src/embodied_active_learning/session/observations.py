@@ -97,6 +97,16 @@ class ObservationStore:
             self._remember(stamp, state, image)
         return True
 
+    def refresh(self) -> int:
+        """Read what another process has appended since -> the number of observations. For a store open for reading.
+
+        Raises CorruptFileError for a damaged record.
+        """
+        with self._appending:
+            for record in self._file.read(self._count):
+                self._remember(float(record["stamp"]), record["state"], record["image"])
+            return self._count
+
     def snapshot(self) -> Observations:
         """All arrays at one length. They stay as they are while more is appended."""
         count = self._count  # first: the arrays are never shorter than a count that was seen

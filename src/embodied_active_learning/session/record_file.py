@@ -30,11 +30,14 @@ class RecordFile:
                 self._stream.close()
                 raise
 
-    def read(self) -> Iterator[np.void]:
-        """Every whole record. Raises CorruptFileError when one is damaged that can't be a write cut short."""
+    def read(self, start: int = 0) -> Iterator[np.void]:
+        """Every whole record from number start on.
+
+        Raises CorruptFileError when one is damaged that can't be a write cut short.
+        """
         descriptor = self._stream.fileno()
         size = os.fstat(descriptor).st_size
-        for index in range(size // self.layout.size):
+        for index in range(start, size // self.layout.size):
             offset = index * self.layout.size
             record = self.layout.unpack(os.pread(descriptor, self.layout.size, offset), index)
             if record is not None:

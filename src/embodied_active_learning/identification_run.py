@@ -1,0 +1,89 @@
+"""Identifying fingerprints in the images of one session, stored or still growing, without robot or ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import List, Sequence, Tuple
+
+import numpy as np
+
+from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.objects.fingerprint import FingerprintSet
+from embodied_active_learning.objects.identification import Decision, Identification
+from embodied_active_learning.session.fingerprints import load_fingerprints
+from embodied_active_learning.session.identifications import identification_folder, save_identification
+from embodied_active_learning.session.observations import ObservationStore
+from embodied_active_learning.session.session import Session
+
+_CHUNK = 64
+
+
+class IdentificationRun:
+    """Looks for the fingerprints of some sessions in the images of another one, as they come.
+
+    The images are read from the session's store: none is lost, a run can be repeated, and others can be tested on them.
+    """
+
+    def __init__(
+        self, session_path: Path, sessions: Sequence[Path], name: str, images: int, settings: IdentificationConfig
+    ) -> None:
+        """session_path: whose images are looked at, so many; 0 for all there are. sessions: whose fingerprints.
+
+        Raises SessionError for what does not exist, ConfigError when cameras differ.
+        """
+        self._path = Path(session_path)
+        self.folder = identification_folder(self._path, name)
+        self._name = name
+        if not sessions:
+            raise SessionError("no sessions were named whose fingerprints are to be found: give one at least")
+        self._session = Session.open_read_only(self._path)
+        self.sets: Tuple[FingerprintSet, ...] = tuple(load_fingerprints(path) for path in sessions)
+        config = self._session.config
+        self._store: ObservationStore = self._session.open_observations()
+        self.images = images or len(self._store)
+        self.identification = Identification(self.sets, config.workspace.box(), config.camera, settings)
+
+    @property
+    def looked_at(self) -> int:
+        """Images looked at."""
+        return self.identification.images
+
+    @property
+    def complete(self) -> bool:
+        """Whether all images were looked at."""
+        return self.looked_at >= self.images
+
+    @property
+    def states(self) -> np.ndarray:
+        """(N, 3) m, m, rad: where the images were taken that were looked at."""
+        return self._store.raw_states[: self.looked_at]
+
+    @property
+    def pictures(self) -> np.ndarray:
+        """(N, H, W, 3) uint8: the images that were looked at."""
+        return self._store.images[: self.looked_at]
+
+    def advance(self) -> int:
+        """Look at the next images, a few at most -> how many. 0 when no new ones were stored.
+
+        Raises CorruptFileError for a damaged store.
+        """
+        if len(self._store) == self.looked_at:
+            self._store.refresh()
+        part = slice(self.looked_at, min(self.looked_at + _CHUNK, self.images, len(self._store)))
+        states, images = self._store.raw_states[part], self._store.images[part]
+        self.identification.observe(states, images)
+        return len(states)
+
+    def decide(self) -> List[Decision]:
+        """Decide for every fingerprint by what was looked at so far."""
+        return self.identification.decide(self.states, self.pictures)
+
+    def save(self, decisions: Sequence[Decision]) -> Path:
+        """Store decisions, beliefs and trace -> the folder. Raises SessionError when the disk fails."""
+        return save_identification(self._path, self._name, self.identification, decisions)
+
+    def close(self) -> None:
+        """Close the store's file."""
+        self._store.close()
