@@ -52,7 +52,12 @@ def make(run: Run, steps: int, root: Path) -> Path:
     if not has_finished(path):
         values = {"world": world, "explorer": explorer, "seed": seed, "steps": steps}
         values.update(session=path.name, session_root=root, resume=str(path.exists()).lower())
-        command = ["bash", str(ROOT / "tools" / "demo.sh"), *(f"{name}:={value}" for name, value in values.items())]
+        command = [
+            "bash",
+            str(ROOT / "tools" / "learn.sh"),
+            "profile:=demo",
+            *(f"{name}:={value}" for name, value in values.items()),
+        ]
         if subprocess.run(command, check=False).returncode:
             sys.exit(f"{path} failed")
     return path

@@ -14,16 +14,17 @@ import pytest
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.errors import SessionError
 from embodied_active_learning.figures import draw_all
 from embodied_active_learning.figures.entropy_map import entropy_maps
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
-from embodied_active_learning.figures.mosaic import metres_per_pixel, top_view
-from embodied_active_learning.figures.network import load_network
+from embodied_active_learning.figures.mosaic import top_view
 from embodied_active_learning.figures.reconstructions import spread_of_images
+from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.session.checkpoints import save_checkpoint, save_model
+from embodied_active_learning.session.checkpoints import save_model
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.workspace import Workspace
 
 # Discs on the table, seen by nothing but these few lines: (colour, x [m], y [m], radius [m]).
 DISCS = (((220, 30, 30), 0.39, -0.10, 0.02), ((30, 60, 220), 0.55, 0.08, 0.025))
@@ -163,37 +164,19 @@ def test_learning_metrics_of_nothing_are_refused(tmp_path):
         draw_learning_metrics(tmp_path / "metrics.png", [])
 
 
-def test_network_comes_from_the_newest_checkpoint_while_there_is_no_model(tmp_path):
-    session = make_session(tmp_path, count=2)
-    assert load_network(session) is None
-    expected = make_network(session.config)
-    packed = {f"network/{name}": tensor for name, tensor in expected.state_dict().items()}
-    save_checkpoint(session.paths.checkpoints, 3, {**packed, "adam/step": torch.zeros(())}, {})
-    found = load_network(session).state_dict()
-    assert all(torch.equal(found[name], tensor) for name, tensor in expected.state_dict().items())
-
-
-def test_model_of_another_size_is_refused_by_its_file(tmp_path):
-    session = make_session(tmp_path, count=2)
-    other = make_network(make_config(tmp_path, model={"latent_size": 5}))
-    save_model(session.paths.model, other.state_dict(), {})
-    with pytest.raises(CorruptFileError, match=r"model\.safetensors does not fit the session's camera and model"):
-        load_network(session)
-
-
-def test_entropy_map_has_y_in_rows_and_x_in_columns(tmp_path):
+def test_entropy_map_has_y_in_rows_and_x_in_columns():
     class Slope:
-        """A network whose log std is 1 x + 10 y + 100 yaw + the latent."""
+        """A model whose log std is 1 x + 10 y + 100 yaw + the latent, in m and rad."""
 
-        def log_std(self, latent, states):
-            return states @ torch.tensor([1.0, 10.0, 100.0]) + latent[0]
+        def log_std(self, latents, states):
+            return latents + states @ [1.0, 10.0, 100.0]
 
-    maps = entropy_maps(Slope(), torch.tensor([[1.0], [3.0]]))
+    maps = entropy_maps(Slope(), np.array([[1.0], [3.0]]), Workspace((0.0, -1.0, -2.0), (2.0, 1.0, 2.0)))
     yaws, rows, columns = maps.shape
-    assert maps.mean() == pytest.approx(2.0, abs=1e-3)
-    np.testing.assert_allclose(np.diff(maps, axis=2), 2.0 / columns, rtol=1e-2)
-    np.testing.assert_allclose(np.diff(maps, axis=1), 20.0 / rows, rtol=1e-2)
-    np.testing.assert_allclose(np.diff(maps, axis=0), 200.0 / yaws, rtol=1e-2)
+    assert maps.mean() == pytest.approx(1.0 + 2.0)
+    np.testing.assert_allclose(np.diff(maps, axis=2), 2.0 / columns)
+    np.testing.assert_allclose(np.diff(maps, axis=1), 20.0 / rows)
+    np.testing.assert_allclose(np.diff(maps, axis=0), 400.0 / yaws)
 
 
 @pytest.mark.parametrize("edge", [0.2, 0.4, 0.7])

@@ -23,7 +23,7 @@ def arguments(root, session="run", **overrides):
 
 
 def finished(path):
-    check = [sys.executable, ROOT / "tools" / "check_session.py", path]
+    check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", path]
     return subprocess.run(check, check=False, capture_output=True).returncode == 0
 
 

@@ -1,27 +1,63 @@
-"""Exits 0 if the session at a path has finished, else 1 and says so: what the exit status of a run stands on."""
+"""Exits 0 if a part of the pipeline has finished in a session, else 1 and says so: what a run's exit status stands on.
+
+check_session.py learned FOLDER | fingerprinted FOLDER | identified FOLDER NAME
+"""
 
 import sys
 from pathlib import Path
+from typing import List
 
-from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
+from embodied_active_learning.objects.report import decision_table, score, true_kinds
+from embodied_active_learning.session.fingerprints import load_fingerprints
+from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
+from embodied_active_learning.simulation.truth import true_objects
 
 
-def main(path: Path) -> int:
-    """Say how the run ended -> exit status."""
+def main(part: str, path: Path, names: List[str]) -> int:
+    """Say how the part ended -> exit status."""
     try:
-        session = Session.open_read_only(path)
-        finished = read_summary(session.paths.summary).finished
+        sys.stdout.write(f"{CHECKS[part](path, *names)}\n")
     except EmbodiedActiveLearningError as error:
         sys.stderr.write(f"FAILED: {error}\n")
         return 1
-    if not finished:
-        sys.stderr.write(f"FAILED: {path} did not finish\n")
-        return 1
-    sys.stdout.write(f"done: {path}\n")
     return 0
 
 
+def learned(path: Path) -> str:
+    """Whether the run has written its summary."""
+    session = Session.open_read_only(path)
+    if not read_summary(session.paths.summary).finished:
+        raise SessionError(f"{path} did not finish")
+    return f"learned: {path}"
+
+
+def fingerprinted(path: Path) -> str:
+    """Whether fingerprints are stored."""
+    found = load_fingerprints(path)
+    return f"fingerprinted: {', '.join(item.name for item in found.fingerprints)}"
+
+
+def identified(path: Path, name: str) -> str:
+    """Whether decisions are stored -> them beside the truth."""
+    result = load_identification(path, name)
+    objects = true_objects(Session.open_read_only(path).config)
+    kinds = {}
+    for session in dict.fromkeys(decision.session for decision in result.decisions):
+        found = load_fingerprints(path.parent / session)
+        kinds.update({(session, key): kind for key, kind in true_kinds(found, true_objects(found.config)).items()})
+    hits, instances, _, false = score(result.decisions, kinds, objects)
+    return (
+        f"\n{decision_table(result.decisions, kinds, objects)}\n\n"
+        f"{hits} of {instances} objects found that a fingerprint is of, {false} false claims, {result.images} images\n"
+        f"  beliefs  {path / 'figures' / 'beliefs.png'}\n"
+        f"  results  {identification_folder(path, name)}"
+    )
+
+
+CHECKS = {"learned": learned, "fingerprinted": fingerprinted, "identified": identified}
+
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main(sys.argv[1], Path(sys.argv[2]), sys.argv[3:]))

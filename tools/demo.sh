@@ -1,28 +1,37 @@
 #!/usr/bin/env bash
-# Learns one world in PyBullet with the demo profile, headless, and ends with a truthful exit status.
-# Arguments go to learn.launch: tools/demo.sh world:=right seed:=2 rviz:=true
+# Learns one world in PyBullet, fingerprints what it has learned and finds it again in another world; headless, and with
+# a truthful exit status. Arguments go to learn.launch (tools/demo.sh world:=right seed:=2 rviz:=true), but for those of
+# the last part: identify_world:=stars_ducks images:=1000.
 set -eo pipefail  # not -u: ROS's own set-up files read variables that are not set
 cd "$(dirname "$0")/.."
-source ./setup.bash
 
 root="${HOME}/.ros/embodied_active_learning"
 session="demo-$(date +%Y%m%d-%H%M%S)-$$"
+identify_world=star_plant_duck
+images=1000
+learn=()
 for argument in "$@"; do
     case "$argument" in
         session:=*) session="${argument#session:=}" ;;
         session_root:=*) root="${argument#session_root:=}" ;;
+        identify_world:=*) identify_world="${argument#identify_world:=}" ;;
+        images:=*) images="${argument#images:=}" ;;
+        *) learn+=("$argument") ;;
     esac
 done
 root="${root/#\~/$HOME}"
+found="${session:0:60}-id"  # names have at most 64 characters
 
-# A master of its own where the usual port is taken, so that the demo disturbs nobody's running system.
-ROS_MASTER_URI="http://localhost:$(python3 tools/free_port.py 11311)"
-export ROS_MASTER_URI ROSCONSOLE_FORMAT='${node}: ${message}' PYTHONUNBUFFERED=1
-# The host's own name may not resolve, in a container say; all nodes are here.
-[ -n "${ROS_IP:-}${ROS_HOSTNAME:-}" ] || export ROS_HOSTNAME=localhost
-echo "to look at the running system:  source setup.bash; export ROS_MASTER_URI=$ROS_MASTER_URI"
+echo "1 of 3: learning"
+tools/learn.sh profile:=demo "session:=$session" "session_root:=$root" "${learn[@]}"
 
-roslaunch embodied_active_learning learn.launch profile:=demo "session:=$session" "session_root:=$root" "$@"
+source tools/local_master.bash
+echo "2 of 3: fingerprinting"
+roslaunch embodied_active_learning fingerprint.launch "session:=$session" "session_root:=$root"
+# roslaunch exits 0 even when a node has died, so the last file of each part has the last word.
+python3 tools/check_session.py fingerprinted "$root/$session"
 
-# roslaunch exits 0 even when a node has died, so the run's own last file has the last word.
-exec python3 tools/check_session.py "$root/$session"
+echo "3 of 3: identifying in $identify_world"
+roslaunch embodied_active_learning identify.launch profile:=demo "sessions:=$session" "world:=$identify_world" \
+    "images:=$images" explorer:=uniform_ergodic "session:=$found" "session_root:=$root" name:=demo
+exec python3 tools/check_session.py identified "$root/$found" demo

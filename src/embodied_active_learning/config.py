@@ -258,14 +258,21 @@ class IdentificationConfig:
     separation: float = setting(0.06, "closest that two objects are taken to lie", "m", 0.005, 1.0)
     min_belief: float = setting(0.5, "mean belief that the decision 'belief' asks for", "", 0.0, 1.0)
     mismatch_limit: float = setting(
-        0.4, "largest mismatch, either way, of a view that agrees with the fingerprint", "nat", 0.0, 10.0
+        0.5, "largest mismatch, either way, of a view that agrees with the fingerprint", "nat", 0.0, 10.0
+    )
+    blank_mismatch_limit: float = setting(
+        1.0,
+        "the same for a blank: it is the place that was easiest to predict of all, so others are explained less well",
+        "nat",
+        0.0,
+        10.0,
     )
     agreement_distance: float = setting(
         0.02, "farthest from the candidate that a view that agrees may point to", "m", 0.001, 0.5
     )
-    min_agreement: float = setting(0.6, "share of the compared views that must agree", "", 0.0, 1.0)
+    min_agreement: float = setting(0.45, "share of the compared views that must agree", "", 0.0, 1.0)
     object_radius: float = setting(0.045, "part of the table around a candidate that is compared", "m", 0.005, 0.5)
-    view_distance: float = setting(0.03, "farthest that a view of a candidate is from it", "m", 0.005, 0.5)
+    view_distance: float = setting(0.04, "farthest that a view of a candidate is from it", "m", 0.005, 0.5)
     views: int = setting(30, "views of a candidate that are compared, at most", "", 1, 1000)
     min_views: int = setting(5, "views of a candidate without which nothing is decided", "", 1, 1000)
 

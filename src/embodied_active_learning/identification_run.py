@@ -7,12 +7,13 @@ from typing import List, Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.identification import Decision, Identification
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, save_identification
+from embodied_active_learning.session.names import SessionPaths
 from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.session import Session
 
@@ -34,6 +35,7 @@ class IdentificationRun:
         """
         self._path = Path(session_path)
         self.folder = identification_folder(self._path, name)
+        self.figures = SessionPaths(self._path).figures
         self._name = name
         if not sessions:
             raise SessionError("no sessions were named whose fingerprints are to be found: give one at least")
@@ -43,6 +45,16 @@ class IdentificationRun:
         self._store: ObservationStore = self._session.open_observations()
         self.images = images or len(self._store)
         self.identification = Identification(self.sets, config.workspace.box(), config.camera, settings)
+
+    @property
+    def config(self) -> Config:
+        """The configuration that the images were taken with."""
+        return self._session.config
+
+    @property
+    def stored(self) -> int:
+        """Images that were stored when last looked for."""
+        return len(self._store)
 
     @property
     def looked_at(self) -> int:

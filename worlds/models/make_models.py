@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes the plant, the star and the stone of the table anew: the same files at every run."""
+"""Makes the plant, the star and the stone and the wood of the table anew: the same files at every run."""
 
 from __future__ import annotations
 
@@ -125,6 +125,20 @@ def stone_texture(size: int = 1024) -> np.ndarray:
     return np.array([209.0, 205.0, 196.0]) + grey[:, :, None]
 
 
+def wood_texture(size: int = 1024) -> np.ndarray:
+    """(size, size, 3) RGB: planks of light wood with grain along one axis, of more contrast than the stone."""
+    generator = np.random.default_rng(11)
+    grain = np.zeros((size, size))
+    for across, along, weight in ((200, 6, 5.0), (100, 4, 5.0), (50, 3, 4.0)):
+        noise = generator.standard_normal((across, along)).astype(np.float32)
+        grain += weight * cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)
+    planks = 8
+    tone = np.repeat(7.0 * generator.standard_normal(planks), size // planks)
+    seams = np.where(np.arange(size) % (size // planks) < 3, -35.0, 0.0)
+    grey = grain + (tone + seams)[:, None]
+    return np.array([206.0, 178.0, 140.0]) + grey[:, :, None] * np.array([1.0, 0.95, 0.85])
+
+
 def write_texture(path: Path, texture: np.ndarray) -> None:
     """Write a texture (H, W, 3) RGB, 0 to 255, as PNG."""
     path.parent.mkdir(exist_ok=True)
@@ -159,6 +173,7 @@ def main() -> None:
     write_model("plant", plant(), plant_texture())
     write_model("star", star(), star_texture())
     write_texture(FOLDER / "table" / "stone.png", stone_texture())
+    write_texture(FOLDER / "table" / "wood.png", wood_texture())
 
 
 if __name__ == "__main__":

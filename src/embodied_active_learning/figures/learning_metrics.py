@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.figures.mosaic import top_view
-from embodied_active_learning.figures.style import GREY, SMALL, colour, label, new_figure, quiet, save
+from embodied_active_learning.figures.style import GREY, LARGE, SMALL, colour, label, new_figure, quiet, save
 from embodied_active_learning.figures.views import draw_path, draw_top_view
 from embodied_active_learning.session.session import Session
 
@@ -26,7 +26,7 @@ def draw_learning_metrics(path: Path, sessions: Sequence[Session]) -> Path:
     )
     for index, (title, members) in enumerate(columns.items()):
         axes: List[Axes] = list(grid[:, index])
-        axes[0].set_title(title, fontsize=11)
+        axes[0].set_title(title, fontsize=LARGE)
         _draw_active_units(axes[0], members)
         _draw_ergodic_measure(axes[1], members)
         _draw_loss(axes[2], members)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.figures.style import spread
 from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.workspace import Workspace
 
@@ -36,7 +37,7 @@ def top_view(images: np.ndarray, states: np.ndarray, camera: CameraConfig, works
     corner = np.array([lower[0], upper[1]])
     total = np.zeros((rows, columns, 4), np.float32)
     weights = _weights(camera)
-    for index in _spread(len(images), _MOST_VIEWS):
+    for index in spread(len(images), _MOST_VIEWS):
         layered = np.dstack((images[index] * weights, weights))
         total += cv2.warpAffine(layered, _placement(states[index], camera, corner, grid), (int(columns), int(rows)))
     seen = total[..., 3] > 1e-6
@@ -64,8 +65,3 @@ def _weights(camera: CameraConfig) -> np.ndarray:
     """(H, W, 1) weight of each pixel: the middle counts most, where things that stand up are seen from above."""
     v, u = (1.0 - np.abs(np.linspace(-1.0, 1.0, size + 2)[1:-1]) for size in (camera.height, camera.width))
     return (np.minimum.outer(v, u) ** 3 + 1e-3).astype(np.float32)[..., None]
-
-
-def _spread(count: int, most: int) -> np.ndarray:
-    """At most so many of the indices below count, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)

@@ -7,12 +7,10 @@ from typing import List, Sequence, Tuple
 
 import cv2
 import numpy as np
-import torch
-from matplotlib.axes import Axes
 
-from embodied_active_learning.figures.network import decode, encode
 from embodied_active_learning.figures.style import MEDIUM, SMALL, new_figure, save
-from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.figures.views import draw_image
+from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.session.observations import Observations
 
 _COLUMNS = 8
@@ -21,24 +19,24 @@ _LEAST_CONTRAST = 0.1  # of the largest contrast: where objects are rare, the be
 _AXIS_WEIGHTS = (1.0, 1.0, 0.3)  # of x, y and theta when places are told apart: turning shows the same object again
 
 
-def draw_reconstructions(path: Path, network: ConditionalVAE, seen: Observations, columns: int = _COLUMNS) -> Path:
+def draw_reconstructions(path: Path, model: LearnedModel, seen: Observations, columns: int = _COLUMNS) -> Path:
     """Rows: observed, own latent, shuffled latent, no latent; columns: observations of all objects, and a blank."""
     chosen = spread_of_images(seen.images, seen.states, columns)
-    states, images = seen.states[chosen], seen.images[chosen]
-    latents = encode(network, states, images)
+    states, images = seen.raw_states[chosen], seen.images[chosen]
+    latents, _ = model.encode(states, images)
     sources = {
         "own latent": latents,
-        "another's\nlatent": latents.roll(1, dims=0),
-        "no latent\n(z = 0)": torch.zeros_like(latents),
+        "another's\nlatent": np.roll(latents, 1, axis=0),
+        "no latent\n(z = 0)": np.zeros_like(latents),
     }
     figure = new_figure(0.8 + 1.15 * len(chosen), 5.7)
     grid = figure.subplots(1 + len(sources), len(chosen), squeeze=False)
     figure.get_layout_engine().set(w_pad=0.02, h_pad=0.03, wspace=0.02, hspace=0.02)
     _draw_row(grid[0], "observed", images, [""] * len(chosen))
-    for axes, (x, y, theta) in zip(grid[0], seen.raw_states[chosen]):
+    for axes, (x, y, theta) in zip(grid[0], states):
         axes.set_title(f"x {x:.2f} m\ny {y:+.2f} m\n$\\theta$ {theta:+.2f} rad", fontsize=SMALL)
     for row, (name, source) in zip(grid[1:], sources.items()):
-        _draw_row(row, name, *_predict(network, source, states))
+        _draw_row(row, name, *_predict(model, source, states))
     figure.supxlabel(r"$\sigma$: predicted standard deviation of a grey level in [0, 1]", fontsize=SMALL)
     return save(figure, path)
 
@@ -70,20 +68,12 @@ def _contrast(images: np.ndarray) -> np.ndarray:
     return np.square(features - np.median(features, axis=0)).sum(axis=(1, 2, 3))
 
 
-def _predict(network: ConditionalVAE, latents: torch.Tensor, states: np.ndarray) -> Tuple[np.ndarray, List[str]]:
-    means, stds = decode(network, latents, states)
+def _predict(model: LearnedModel, latents: np.ndarray, states: np.ndarray) -> Tuple[np.ndarray, List[str]]:
+    means, stds = model.decode(latents, states)
     return means, [rf"$\sigma$ {std:.3f}" for std in stds]
 
 
 def _draw_row(row: np.ndarray, name: str, images: np.ndarray, captions: Sequence[str]) -> None:
     for axes, image, caption in zip(row, images, captions):
-        _draw_image(axes, image, caption)
+        draw_image(axes, image, caption)
     row[0].set_ylabel(name, fontsize=MEDIUM, rotation=0, ha="right", va="center", labelpad=6)
-
-
-def _draw_image(axes: Axes, image: np.ndarray, caption: str) -> None:
-    axes.imshow(image, interpolation="nearest")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines[:].set_visible(False)
-    axes.set_xlabel(caption, fontsize=SMALL, labelpad=2)

@@ -8,9 +8,9 @@ from typing import List, Sequence
 
 from embodied_active_learning.figures.entropy_map import draw_entropy
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
-from embodied_active_learning.figures.network import load_network
 from embodied_active_learning.figures.reconstructions import draw_reconstructions
 from embodied_active_learning.figures.views import Location
+from embodied_active_learning.session.learned import load_trained
 from embodied_active_learning.session.session import Session
 
 _LOG = logging.getLogger(__name__)
@@ -19,16 +19,16 @@ _LOG = logging.getLogger(__name__)
 def draw_all(session: Session, objects: Sequence[Location] = ()) -> List[Path]:
     """Draw into the session's figures/ and return the paths. objects: (name, x, y) in metres, where they are known.
 
-    Those that need a trained network are left out as long as there is none.
+    Those that need a trained model are left out as long as there is none.
     """
     folder = session.paths.figures
     paths = [draw_learning_metrics(folder / "learning_metrics.png", [session])]
-    network = load_network(session)
-    if network is None:
-        _LOG.info("%s has no model yet: only %s was drawn", session.paths.path, paths[0].name)
+    trained = load_trained(session)
+    if trained is None:
+        _LOG.info("%s has learned nothing yet: only %s was drawn", session.paths.path, paths[0].name)
         return paths
     with session.open_observations() as store:
         seen = store.snapshot()
-    paths.append(draw_entropy(folder / "entropy.png", session, network, seen, objects))
-    paths.append(draw_reconstructions(folder / "reconstructions.png", network, seen))
+    paths.append(draw_entropy(folder / "entropy.png", session, trained.model, seen, objects))
+    paths.append(draw_reconstructions(folder / "reconstructions.png", trained.model, seen))
     return paths

@@ -43,11 +43,12 @@ class Sought:
     """One fingerprint that is being looked for."""
 
     def __init__(
-        self, found: FingerprintSet, fingerprint: Fingerprint, model: LearnedModel, grid: BeliefGrid, verifier: Verifier
+        self, found: FingerprintSet, fingerprint: Fingerprint, threshold: float, grid: BeliefGrid, verifier: Verifier
     ) -> None:
+        """threshold: the distance at which a measurement says neither yes nor no."""
         self.session = found.session
         self.fingerprint = fingerprint
-        self.model = model
+        self.threshold = threshold
         self.grid = grid
         self.verifier = verifier
         self._parts: List[Matches] = []
@@ -84,17 +85,12 @@ class Identification:
         for found in sets:
             _check_camera(found, camera)
             model = LearnedModel(found.config, found.weights)
-            sought = [
-                Sought(
-                    found,
-                    item,
-                    model,
-                    BeliefGrid(workspace, settings),
-                    Verifier(model, item, found.config, settings),
-                )
-                for item in found.fingerprints
-            ]
-            self._groups.append((Matcher(model, found.fingerprints, settings), sought))
+            matcher = Matcher(model, found.fingerprints, settings)
+            sought = []
+            for item in found.fingerprints:
+                grid, verifier = BeliefGrid(workspace, settings), Verifier(model, item, found.config, settings)
+                sought.append(Sought(found, item, matcher.threshold, grid, verifier))
+            self._groups.append((matcher, sought))
 
     @property
     def sought(self) -> List[Sought]:
@@ -160,9 +156,9 @@ class Identification:
         Such a view looks like the fingerprint's own, neither worse explained (another object) nor much better (bare
         table), and by itself points to that place. A blank is in no particular place.
         """
-        alike = np.abs(comparison.mismatch) <= self._settings.mismatch_limit
         if item.fingerprint.kind == BLANK:
-            return alike
+            return np.abs(comparison.mismatch) <= self._settings.blank_mismatch_limit
+        alike = np.abs(comparison.mismatch) <= self._settings.mismatch_limit
         distance, _ = pose_distance(item.trace.pose[comparison.views], pose)
         return alike & (distance <= self._settings.agreement_distance)
 

@@ -45,7 +45,7 @@ def decision_table(
     kinds: what each (session, fingerprint) is really of; objects: what is really there. Both only for the reader, and
     left out where they are not known.
     """
-    rows = [("fingerprint", "of", "found", "x [m]", "y [m]", "sureness", "really there", "error [cm]")]
+    rows = [("fingerprint", "of", "found", "x [m]", "y [m]", "sureness", "really there", "error [cm]", "why")]
     for decision in decisions:
         of = (kinds or {}).get((decision.session, decision.fingerprint), "") or "?"
         there, error = _truth(decision, objects)
@@ -59,6 +59,7 @@ def decision_table(
                 f"{decision.sureness:.2f}",
                 there,
                 error,
+                decision.reason,
             )
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]

@@ -55,13 +55,13 @@ class Verifier:
     def compare(self, candidate: np.ndarray, states: np.ndarray, images: np.ndarray) -> Comparison:
         """Compare the images (N, H, W, 3) from states (N, 3) that show a candidate pose (3,) [m, m, rad].
 
-        Those are seen from next to it, and from where the camera could also stand over the fingerprint's object.
+        Those are seen from next to it, and from where the camera could also stand over the fingerprint's object; the
+        nearest ones, if there are more than settings.views.
         """
         distance, _ = pose_distance(states, candidate)
         stored = move(states, candidate, self._fingerprint.centre)
         usable = np.flatnonzero((distance < self._settings.view_distance) & self._workspace.contains(stored))
-        most = self._settings.views
-        views = usable if len(usable) <= most else usable[np.linspace(0, len(usable) - 1, most).astype(int)]
+        views = usable[np.argsort(distance[usable], kind="stable")[: self._settings.views]]
         if not len(views):
             return Comparison(views, np.empty(0))
         errors = self._errors(stored[views], states[views], images[views], candidate)

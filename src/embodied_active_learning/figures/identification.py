@@ -1,0 +1,55 @@
+"""The figures of one identification."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import List, Sequence
+
+from embodied_active_learning.figures.beliefs import BeliefPanel, draw_beliefs
+from embodied_active_learning.figures.mosaic import top_view
+from embodied_active_learning.figures.trace import draw_trace
+from embodied_active_learning.figures.views import Location
+from embodied_active_learning.identification_run import IdentificationRun
+from embodied_active_learning.objects.identification import Decision, Sought
+
+MOST_TRACES = 12
+"""Fingerprints of which a trace is drawn; it takes a second each."""
+
+
+def draw_identification(
+    run: IdentificationRun, decisions: Sequence[Decision], objects: Sequence[Location] = ()
+) -> List[Path]:
+    """Draw figures/beliefs.png of the session whose images were looked at, and a trace for each fingerprint.
+
+    objects: (name, x, y) in metres, where they are known. -> the paths.
+    """
+    workspace = run.config.workspace.box()
+    view = top_view(run.pictures, run.states, run.config.camera, workspace)
+    panels = [_panel(item, decisions) for item in run.identification.sought]
+    paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, objects)]
+    for item in run.identification.sought[:MOST_TRACES]:
+        name = f"{item.session}/{item.fingerprint.name}"
+        path = run.folder / f"trace-{item.session}-{item.fingerprint.name}.png"
+        own = _own(item, decisions)
+        trace = item.trace
+        paths.append(
+            draw_trace(path, name, trace, run.states, run.pictures, item.fingerprint, item.threshold, own, objects)
+        )
+    return paths
+
+
+def _panel(item: Sought, decisions: Sequence[Decision]) -> BeliefPanel:
+    mean, std = item.grid.over_yaw()
+    return BeliefPanel(
+        f"{item.session}\n{item.fingerprint.name}",
+        item.fingerprint.thumbnail,
+        item.grid.x,
+        item.grid.y,
+        mean,
+        std,
+        _own(item, decisions),
+    )
+
+
+def _own(item: Sought, decisions: Sequence[Decision]) -> List[Decision]:
+    return [found for found in decisions if (found.session, found.fingerprint) == (item.session, item.fingerprint.name)]

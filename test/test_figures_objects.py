@@ -1,0 +1,239 @@
+"""The figures of learned objects: marks stand where things are, and every text can be read, however much there is."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.figures.beliefs import BeliefPanel, beliefs_figure, draw_beliefs
+from embodied_active_learning.figures.fingerprints import draw_fingerprints, fingerprints_figure
+from embodied_active_learning.figures.mosaic import top_view
+from embodied_active_learning.figures.trace import NEXT_TO, draw_trace, trace_figure
+from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.identification import Decision
+from embodied_active_learning.objects.matching import Matches
+
+CONFIG = Config.from_dict({"camera": {"width": 24, "height": 20}, "model": {"latent_size": 2}})
+WORKSPACE = CONFIG.workspace.box()
+OBJECTS = (("plant_of_some_size", 0.54, 0.09), ("duck", 0.39, -0.10))
+LONG = "a-session-with-a-name-that-goes-on-and-on-" * 4
+
+
+def make_images(count, seed=0):
+    return np.random.default_rng(seed).integers(0, 255, (count, 20, 24, 3), dtype=np.uint8)
+
+
+def make_fingerprint(views=30, name="object-1", kind=OBJECT):
+    random = np.random.default_rng(views)
+    centre = np.array([0.54, 0.09, 0.3])
+    return Fingerprint(
+        name=name,
+        kind=kind,
+        centre=centre,
+        states=centre + random.normal(0.0, (0.01, 0.01, 0.8), (views, 3)),
+        images=make_images(views),
+        latent_means=np.zeros((views, 2), np.float32),
+        latent_stds=np.ones((views, 2), np.float32),
+        importance=0.25 if kind == OBJECT else 0.0,
+    )
+
+
+def make_set(fingerprints, session="a"):
+    weights = {"layer.weight": torch.ones(2, 3)}
+    return FingerprintSet(session, 9000, 3000, "2026-11-22T12:45:00Z", CONFIG, weights, tuple(fingerprints))
+
+
+def make_decision(x=0.5, y=0.1, yaw=0.5, instance=1, kind=OBJECT, reason="27 of 30 views agree"):
+    pose = np.array([x, y, yaw])
+    return Decision("a", "object-1", kind, instance > 0, instance, pose, 0.9, 0.1, 30, 0.5, 0.07, reason)
+
+
+def make_panel(decisions=(), peak=(7, 2), title="a, object-1"):
+    x, y = np.linspace(0.3, 0.65, 12), np.linspace(-0.17, 0.17, 9)
+    mean = np.full((12, 9), 0.4)
+    mean[peak] = 0.52
+    return BeliefPanel(title, make_images(1)[0], x, y, mean, np.full((12, 9), 0.07), decisions)
+
+
+def make_stream(count, views):
+    """States, images and what the images say, half of them near (0.5, 0.1)."""
+    random = np.random.default_rng(count)
+    states = WORKSPACE.denormalise(random.uniform(-1.0, 1.0, (count, 3)))
+    states[: (count + 1) // 2, :2] = 0.5, 0.1
+    distance = random.uniform(0.1, 4.0, count).astype(np.float32)
+    view = random.integers(0, views, count).astype(np.int32)
+    return states, make_images(count), Matches(view, distance, 1.0 / (1.0 + distance), states + 0.01)
+
+
+def assert_picture(path, recwarn):
+    picture = cv2.imread(str(path))
+    assert min(picture.shape[:2]) > 400
+    assert picture.std() > 10.0
+    assert [str(warning.message) for warning in recwarn] == []
+
+
+def assert_nothing_is_cut(figure):
+    FigureCanvasAgg(figure).draw()
+    drawn = figure.get_tightbbox()
+    width, height = figure.get_size_inches()
+    assert min(drawn.x0, drawn.y0, width - drawn.x1, height - drawn.y1) >= 0.0
+
+
+def markers(axes, filled):
+    """Where the round markers of a kind are, (x, y) each."""
+    found = [
+        line for line in axes.lines if line.get_marker() == "o" and (line.get_markerfacecolor() != "none") == filled
+    ]
+    return [(line.get_xdata()[0], line.get_ydata()[0]) for line in found]
+
+
+def titled(figure, text):
+    """The axes whose title begins with a text."""
+    return [axes for axes in figure.axes if any(axes.get_title(loc).startswith(text) for loc in ("left", "center"))]
+
+
+@pytest.mark.parametrize(("count", "objects"), [(1, ()), (3, OBJECTS), (8, OBJECTS)])
+def test_contact_sheet_has_a_row_for_each_fingerprint(tmp_path, recwarn, count, objects):
+    kinds = [OBJECT] * (count - 1) + [BLANK]
+    found = make_set([make_fingerprint(name=f"{kind}-{index}", kind=kind) for index, kind in enumerate(kinds)])
+    assert_picture(draw_fingerprints(tmp_path / "new" / "sheet.png", found, objects), recwarn)
+    assert len(titled(fingerprints_figure(found), "in the workspace")) == count
+
+
+def test_contact_sheet_can_be_read_whatever_the_session_is_called():
+    assert_nothing_is_cut(fingerprints_figure(make_set([make_fingerprint()], LONG[:64]), OBJECTS))
+
+
+@pytest.mark.parametrize("views", [1, 2, 19])
+def test_contact_sheet_of_few_views_is_drawn(tmp_path, recwarn, views):
+    found = make_set([make_fingerprint(views)])
+    assert_picture(draw_fingerprints(tmp_path / "sheet.png", found), recwarn)
+    captions = [axes.get_xlabel() for axes in fingerprints_figure(found).axes]
+    assert any(caption.startswith(f"{min(views, 18)} of {views} views") for caption in captions)
+
+
+def test_contact_sheet_marks_centre_and_objects_on_both_maps():
+    fingerprint = make_fingerprint()
+    figure = fingerprints_figure(make_set([fingerprint]), OBJECTS)
+    (wide,), (close,) = titled(figure, "in the workspace"), titled(figure, "the dashed box")
+    for axes in (wide, close):
+        assert markers(axes, filled=True) == [tuple(fingerprint.centre[:2])]
+        crosses = [line.get_xydata()[0].tolist() for line in axes.lines if line.get_marker() == "+"]
+        assert crosses == [[x, y] for _, x, y in OBJECTS]
+    (left, right), (bottom, top) = close.get_xlim(), close.get_ylim()
+    x, y = fingerprint.states[:, :2].T
+    assert ((x > left) & (x < right) & (y > bottom) & (y < top)).all()
+
+
+@pytest.mark.parametrize(("count", "with_view"), [(1, False), (0, True), (1, True), (9, True)])
+def test_beliefs_of_few_and_of_many_fingerprints_are_drawn(tmp_path, recwarn, count, with_view):
+    states = WORKSPACE.denormalise(np.random.default_rng(0).uniform(-1.0, 1.0, (9, 3)))
+    view = top_view(make_images(9), states, CONFIG.camera, WORKSPACE) if with_view else None
+    panels = [make_panel([make_decision()]) for _ in range(count)]
+    assert_picture(draw_beliefs(tmp_path / "new" / "beliefs.png", WORKSPACE, panels, view, OBJECTS), recwarn)
+
+
+@pytest.mark.parametrize("count", [1, 2, 21])
+def test_beliefs_can_be_read_however_many_there_are(count):
+    reason = "seen from 4 places only, 5 are needed"
+    decisions = [make_decision(0.62, 0.14, instance=0, reason=reason)]
+    panels = [make_panel(decisions, title=f"{LONG} object-1")] * count
+    figure = beliefs_figure(WORKSPACE, panels, objects=OBJECTS)
+    assert_nothing_is_cut(figure)
+    boxes = [axes.get_window_extent() for axes in figure.axes]
+    assert not any(one.overlaps(other) for index, one in enumerate(boxes) for other in boxes[:index])
+
+
+def test_belief_map_is_brightest_where_the_belief_is_highest():
+    panel = make_panel(peak=(7, 2))
+    axes = titled(beliefs_figure(WORKSPACE, [panel]), panel.title)[0]
+    pixels = axes.images[0].get_array()
+    row, column = np.unravel_index(pixels.argmax(), pixels.shape)
+    left, right, bottom, top = axes.images[0].get_extent()
+    assert left + (column + 0.5) / pixels.shape[1] * (right - left) == pytest.approx(panel.x[7])
+    assert bottom + (row + 0.5) / pixels.shape[0] * (top - bottom) == pytest.approx(panel.y[2])
+
+
+def test_decisions_are_marked_where_they_were_made_with_number_sureness_and_yaw():
+    found = [make_decision(0.40, 0.05, 0.0, 1), make_decision(0.55, -0.1, np.pi / 2, 2)]
+    axes = titled(beliefs_figure(WORKSPACE, [make_panel(found)]), "a, object-1")[0]
+    assert markers(axes, filled=True) == [(0.40, 0.05), (0.55, -0.1)]
+    assert markers(axes, filled=False) == []
+    numbers = {text.get_text(): text.xy for text in axes.texts}
+    assert (numbers["1"], numbers["2"]) == ((0.40, 0.05), (0.55, -0.1))
+    assert [text.get_text() for text in axes.texts].count("90%") == 2
+    ticks = [np.diff(line.get_xydata(), axis=0)[0] for line in axes.lines if len(line.get_xdata()) == 2]
+    assert [np.arctan2(y, x) for x, y in ticks] == pytest.approx([0.0, np.pi / 2])
+
+
+def test_what_was_not_found_is_marked_hollow_and_without_a_number():
+    figure = beliefs_figure(WORKSPACE, [make_panel([make_decision(0.40, 0.05, instance=0, reason="2 of 30")])])
+    axes = titled(figure, "a, object-1")[0]
+    assert (markers(axes, filled=False), markers(axes, filled=True)) == ([(0.40, 0.05)], [])
+    assert [text.get_text() for text in axes.texts] == ["90%"]
+    notes = [text.get_text() for one in figure.axes for text in one.texts]
+    assert "not found" in notes
+    assert any(note.startswith("2 of 30") for note in notes)
+
+
+def test_a_blank_has_no_yaw():
+    axes = titled(beliefs_figure(WORKSPACE, [make_panel([make_decision(kind=BLANK)])]), "a, object-1")[0]
+    assert all(len(line.get_xdata()) == 1 for line in axes.lines)
+
+
+def test_even_belief_without_decisions_is_drawn(tmp_path, recwarn):
+    panel = make_panel(peak=(slice(None), slice(None)))
+    assert_picture(draw_beliefs(tmp_path / "beliefs.png", WORKSPACE, [panel]), recwarn)
+
+
+@pytest.mark.parametrize(("count", "views", "decisions"), [(1, 1, 0), (3, 2, 1), (200, 30, 4), (50, 2, 6)])
+def test_trace_of_short_and_long_streams_is_drawn(tmp_path, recwarn, count, views, decisions):
+    states, images, trace = make_stream(count, views)
+    decided = [make_decision(0.5, 0.1 - 0.05 * number, instance=number) for number in range(decisions)]
+    fingerprint = make_fingerprint(views)
+    path = tmp_path / "new" / "trace.png"
+    draw_trace(path, "a, object-1", trace, states, images, fingerprint, 1.0, decided, OBJECTS[:decisions])
+    assert_picture(path, recwarn)
+
+
+def test_trace_can_be_read():
+    states, images, trace = make_stream(200, 30)
+    decided = [make_decision(instance=0, reason="seen from 4 places only, 5 are needed"), make_decision(0.4, -0.1)]
+    fingerprint = make_fingerprint(30, name="object-with-a-long-name")
+    assert_nothing_is_cut(trace_figure(LONG, trace, states, images, fingerprint, 1.0, decided, OBJECTS))
+
+
+def test_trace_shows_images_from_next_to_the_decision_beside_the_view_that_won():
+    states, images, trace = make_stream(200, 30)
+    fingerprint = make_fingerprint(30)
+    figure = trace_figure("a", trace, states, images, fingerprint, 1.0, [make_decision(0.5, 0.1)])
+    captions = {axes: re.match(r"image (\d+):", axes.get_xlabel()) for axes in figure.axes}
+    pairs = [(int(caption.group(1)), axes) for axes, caption in captions.items() if caption]
+    assert len(pairs) == 5
+    for index, axes in pairs:
+        assert np.hypot(*(states[index, :2] - (0.5, 0.1))) < NEXT_TO
+        shown = axes.images[0].get_array()
+        np.testing.assert_array_equal(shown[:, :24], fingerprint.images[trace.view[index]])
+        np.testing.assert_array_equal(shown[:, -24:], images[index])
+
+
+def test_trace_places_every_image_where_it_points_to_and_counts_which_view_won():
+    states, images, trace = make_stream(200, 30)
+    figure = trace_figure("a", trace, states, images, make_fingerprint(30), 1.0, [make_decision(0.5, 0.1)])
+    (places,), (winners,) = (
+        titled(figure, "where each image"),
+        [axes for axes in figure.axes if axes.get_xlabel() == "stored view"],
+    )
+    points = places.collections[0]
+    order = np.argsort(trace.value)
+    np.testing.assert_allclose(points.get_offsets(), trace.pose[order, :2])
+    np.testing.assert_allclose(points.get_array(), trace.value[order])
+    assert markers(places, filled=True) == [(0.5, 0.1)]
+    heights = [bar.get_height() for bar in winners.containers[0]]
+    assert heights == [(trace.view == view).sum() for view in range(30)]

@@ -1,0 +1,148 @@
+"""Planar geometry: pixels show the points that the camera matrix says, and motions of poses are rigid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.geometry import metres_per_pixel, move, pose_distance, table_grid, table_points, wrap
+from embodied_active_learning.simulation.scene import Scene, intrinsics, optical_rotation
+from embodied_active_learning.simulation.world import load_world
+from embodied_active_learning.workspace import Workspace
+
+POSES = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-math.pi, math.pi)).map(np.array)
+CAMERAS = (CameraConfig(), CameraConfig(width=201, height=120, field_of_view=47.0, distance=0.41))
+
+
+def matrix(pose):
+    """(3, 3) homogeneous transform of a planar pose."""
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    return np.array([[cosine, -sine, pose[0]], [sine, cosine, pose[1]], [0.0, 0.0, 1.0]])
+
+
+def project(point, state, camera):
+    """(row, column) of a point of the table (2,) [m] for a camera state (3,), by camera matrix and orientation."""
+    in_camera = optical_rotation(state[2]).T @ [point[0] - state[0], point[1] - state[1], -camera.distance]
+    column, row, depth = intrinsics(camera.width, camera.height, camera.field_of_view) @ in_camera
+    return row / depth, column / depth
+
+
+def assert_same_pose(found, expected):
+    distance, turn = pose_distance(found, np.asarray(expected))
+    assert np.all(distance < 1e-9)
+    assert np.all(turn < 1e-9)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@given(POSES, st.floats(0.0, 200.0), st.floats(0.0, 200.0))
+def test_point_of_a_pixel_is_projected_back_to_that_pixel(camera, state, row, column):
+    point = table_points(state, np.float64(row), np.float64(column), camera)
+    assert project(point, state, camera) == pytest.approx((row, column), abs=1e-6)
+
+
+def test_pixel_size_is_the_distance_between_the_points_of_neighbours():
+    for camera in CAMERAS:
+        points = table_points(np.array([0.4, 0.1, 0.7]), np.array([3, 3, 4]), np.array([5, 6, 5]), camera)
+        apart = np.linalg.norm(points[1:] - points[0], axis=1)
+        assert apart == pytest.approx([metres_per_pixel(camera)] * 2, rel=1e-12)
+
+
+def test_a_small_object_is_in_the_pixel_whose_point_it_stands_on(tmp_path):
+    world = tmp_path / "mine.yaml"
+    address = "package://embodied_active_learning/worlds/models/star/star.urdf"
+    world.write_text(
+        f"table: {{colour: [0, 0, 1]}}\nobjects: {{a: {{urdf: '{address}', position: [0.493, -0.011], scale: 0.25}}}}",
+        encoding="utf-8",
+    )
+    camera = CameraConfig(width=201, height=120)
+    scene = Scene(load_world(str(world), Workspace()), camera)
+    try:
+        states = np.array([[0.475, 0.0, 0.0], [0.47, 0.01, 1.3], [0.52, -0.03, -2.0], [0.46, 0.015, 3.0]])
+        grid = table_grid(states, camera)
+        assert grid.shape == (4, 120, 201, 2)
+        for state, points in zip(states, grid):
+            shown = np.any(scene.render(state) != (0, 0, 255), axis=2)
+            assert 30 < shown.sum() < 2000
+            middle = (points[shown].min(axis=0) + points[shown].max(axis=0)) / 2.0
+            np.testing.assert_allclose(middle, scene.objects[0].centre, atol=0.003)
+    finally:
+        scene.close()
+
+
+def test_grid_holds_the_point_of_every_pixel():
+    camera, states = CameraConfig(width=9, height=8), np.array([[0.4, 0.1, 0.7], [0.5, -0.1, -1.9]])
+    grid = table_grid(states, camera)
+    for index, state in enumerate(states):
+        for row, column in ((0, 0), (7, 0), (0, 8), (3, 5)):
+            expected = table_points(state, np.array(row), np.array(column), camera)
+            np.testing.assert_allclose(grid[index, row, column], expected, atol=1e-12)
+
+
+@given(st.floats(-100.0, 100.0))
+def test_wrapped_angle_lies_between_minus_pi_and_pi_and_points_the_same_way(angle):
+    wrapped = wrap(angle)
+    assert -math.pi <= wrapped < math.pi
+    assert math.cos(wrapped - angle) == pytest.approx(1.0)
+    assert math.sin(wrapped - angle) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "angle", [math.pi, -math.pi, 3 * math.pi, np.nextafter(-math.pi, -4), np.nextafter(math.pi, 0)]
+)
+def test_wrapped_angle_is_never_pi_itself(angle):
+    assert -math.pi <= wrap(angle) < math.pi
+
+
+@given(POSES, POSES)
+def test_motion_takes_origin_to_goal(origin, goal):
+    assert_same_pose(move(origin, origin, goal), goal)
+
+
+@given(POSES, POSES, POSES)
+def test_motion_is_that_of_the_homogeneous_transforms(pose, origin, goal):
+    moved = matrix(goal) @ np.linalg.inv(matrix(origin)) @ matrix(pose)
+    expected = (moved[0, 2], moved[1, 2], math.atan2(moved[1, 0], moved[0, 0]))
+    assert_same_pose(move(pose, origin, goal), expected)
+
+
+@given(POSES, POSES, POSES, POSES)
+def test_motion_keeps_distances_and_turns_between_poses(one, other, origin, goal):
+    before = pose_distance(one, other)
+    after = pose_distance(move(one, origin, goal), move(other, origin, goal))
+    np.testing.assert_allclose(after, before, atol=1e-9)
+
+
+@given(POSES, POSES, POSES, POSES)
+def test_motions_follow_each_other_and_can_be_undone(pose, first, second, third):
+    there = move(pose, first, second)
+    assert_same_pose(move(there, second, third), move(pose, first, third))
+    assert_same_pose(move(there, second, first), pose)
+
+
+@given(POSES, POSES, st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-2.0, 2.0)))
+def test_object_that_looks_the_same_from_a_new_state_is_where_it_truly_stands(learned, true, view):
+    """Camera states are given as seen from the object, so both show it in the same way."""
+    stored, new = matrix(learned) @ matrix(view), matrix(true) @ matrix(view)
+    states = [np.array([pose[0, 2], pose[1, 2], math.atan2(pose[1, 0], pose[0, 0])]) for pose in (stored, new)]
+    assert_same_pose(move(learned, *states), true)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**31 - 1))
+def test_arrays_of_poses_are_moved_one_by_one(seed):
+    poses, origins, goals = np.random.default_rng(seed).uniform(-3, 3, (3, 4, 5, 3))
+    moved = move(poses, origins, goals)
+    for index in np.ndindex(4, 5):
+        np.testing.assert_allclose(moved[index], move(poses[index], origins[index], goals[index]), atol=1e-12)
+    np.testing.assert_allclose(move(poses[0, 0], origins, goals)[2, 3], move(poses[0, 0], origins[2, 3], goals[2, 3]))
+
+
+def test_turn_between_poses_is_taken_the_short_way():
+    distance, turn = pose_distance(np.array([3.0, 0.0, 3.0]), np.array([0.0, 4.0, -3.0]))
+    assert distance == pytest.approx(5.0)
+    assert turn == pytest.approx(2 * math.pi - 6.0)

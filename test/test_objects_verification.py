@@ -1,0 +1,228 @@
+"""Views of a candidate agree with a fingerprint if its model explains them as well as the fingerprint's own views."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.config import Config, IdentificationConfig
+from embodied_active_learning.geometry import move
+from embodied_active_learning.objects.verification import Comparison, Verifier
+from painted_table import PaintedModel, Thing, learn, paint
+
+SETTINGS = IdentificationConfig()
+LIMIT, BLANK_LIMIT = SETTINGS.mismatch_limit, SETTINGS.blank_mismatch_limit
+RED, BLUE, GREEN = Thing(0, (0.40, -0.07, 0.6)), Thing(1, (0.54, 0.06, -1.0)), Thing(2, (0.45, 0.05, 0.0))
+BARE = (0.40, 0.09)
+LEARNED = learn((RED, BLUE), BARE)
+CAMERA = LEARNED.config.camera
+PLACE = np.array([0.50, -0.03, 1.1])
+
+
+def verifier(name, settings=SETTINGS, found=LEARNED):
+    fingerprint = next(item for item in found.fingerprints if item.name == name)
+    model = None if settings.features == "pixels" else PaintedModel(found.config, found.weights)
+    return Verifier(model, fingerprint, found.config, settings)
+
+
+def around(pose, count=25, spread=0.01, seed=7):
+    """States (N, 3) around a pose, all of them within the distance from which views are compared."""
+    random = np.random.default_rng(seed)
+    distance, angle = spread * np.sqrt(random.uniform(0, 1, count)), random.uniform(-math.pi, math.pi, count)
+    turn = random.uniform(-0.5, 0.5, count)
+    return np.asarray(pose) + np.stack((distance * np.cos(angle), distance * np.sin(angle), turn), axis=1)
+
+
+def compare(name, things, pose=PLACE, settings=SETTINGS, states=None):
+    """What views around a pose of a table with things on it say about a fingerprint being at that pose."""
+    states = around(pose) if states is None else states
+    return verifier(name, settings).compare(np.asarray(pose), states, paint(states, things, CAMERA, seed=5))
+
+
+def moved(pose, x, y, yaw):
+    return np.add(pose, (x, y, yaw))
+
+
+def at(thing, pose=PLACE, **fields):
+    return thing._replace(pose=tuple(pose), **fields)
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_own_views_have_no_mismatch(index):
+    fingerprint = LEARNED.fingerprints[index]
+    check = verifier(fingerprint.name, IdentificationConfig(views=1000, view_distance=0.1))
+    comparison = check.compare(fingerprint.centre, fingerprint.states, fingerprint.images)
+    assert len(comparison.views) == len(fingerprint.states)
+    assert comparison.typical == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(comparison.mismatch).max() < LIMIT
+
+
+@pytest.mark.parametrize("pose", [RED.pose, PLACE, (0.60, 0.12, -0.5), (0.35, 0.0, 2.6)])
+def test_the_object_agrees_wherever_it_stands_and_however_it_is_turned(pose):
+    comparison = compare("object-1", [at(RED, pose)], pose)
+    assert len(comparison.mismatch) > 15
+    assert np.abs(comparison.mismatch).max() < LIMIT
+
+
+@pytest.mark.parametrize("other", [BLUE, GREEN])
+def test_another_object_known_or_not_is_explained_worse(other):
+    assert compare("object-1", [at(other)]).mismatch.min() > LIMIT
+
+
+def test_a_bare_table_is_explained_too_well_for_an_object():
+    assert compare("object-1", []).mismatch.max() < -LIMIT
+
+
+def test_an_object_is_explained_worse_by_a_blank():
+    assert compare("blank-1", [at(RED)]).mismatch.min() > BLANK_LIMIT
+
+
+@pytest.mark.parametrize("things", [[], [Thing(1, (0.565, -0.03, 0.0), 0.015)]])
+def test_a_bare_table_agrees_with_a_blank_though_something_is_to_be_seen_at_the_edge(things):
+    assert np.abs(compare("blank-1", things).mismatch).max() < LIMIT
+
+
+def test_the_object_turned_or_moved_away_from_the_candidate_is_explained_worse():
+    turned = at(RED, moved(PLACE, 0.0, 0.0, 2.0))
+    aside = at(RED, moved(PLACE, 0.015, 0.0, 0.0))
+    assert compare("object-1", [turned]).typical > LIMIT
+    assert compare("object-1", [aside]).typical > LIMIT
+
+
+def test_what_stands_beyond_the_objects_radius_does_not_count():
+    near, far = (at(BLUE, moved(PLACE, away, 0.0, 0.0), radius=0.015) for away in (0.03, 0.064))
+    alone = compare("object-1", [at(RED)])
+    np.testing.assert_allclose(compare("object-1", [at(RED), far]).mismatch, alone.mismatch, atol=0.05)
+    assert compare("object-1", [at(RED), near]).typical > LIMIT
+    wide = IdentificationConfig(object_radius=0.08)
+    assert compare("object-1", [at(RED), far], settings=wide).typical > LIMIT
+
+
+def test_pixels_are_compared_with_the_stored_view_from_next_to_it_and_need_no_model():
+    settings = IdentificationConfig(features="pixels")
+    itself, other = (compare("object-1", [at(thing)], settings=settings) for thing in (RED, BLUE))
+    assert itself.typical == pytest.approx(0.0, abs=LIMIT)
+    assert other.typical > LIMIT
+    fingerprint = LEARNED.fingerprints[0]
+    views = range(0, 50, 7)
+    states = move(fingerprint.states[views], fingerprint.centre, PLACE)
+    same = verifier("object-1", settings).compare(PLACE, states, fingerprint.images[views])
+    assert same.mismatch.max() < -2.0  # the very same images: no error at all
+
+
+def test_without_views_the_mismatch_is_infinite():
+    comparison = compare("object-1", [at(RED)], states=around(moved(PLACE, 0.1, 0.0, 0.0)))
+    assert len(comparison.views) == len(comparison.mismatch) == 0
+    assert math.isinf(comparison.typical)
+    assert compare("object-1", [at(RED)], states=np.empty((0, 3))).typical == math.inf
+
+
+def test_typical_is_the_median():
+    assert Comparison(np.arange(3), np.array([5.0, -1.0, 0.5])).typical == 0.5
+
+
+def test_compared_are_the_views_from_next_to_the_candidate():
+    offsets = np.array([0.0, 0.029, 0.031, 0.2, 0.01])
+    states = PLACE + offsets[:, None] * [0.6, -0.8, 0.0]
+    assert compare("object-1", [at(RED)], states=states).views.tolist() == [0, 1, 4]
+    near = compare("object-1", [at(RED)], states=states, settings=IdentificationConfig(view_distance=0.02))
+    assert near.views.tolist() == [0, 4]
+
+
+def test_not_compared_are_views_that_the_camera_could_not_have_over_the_learned_object():
+    """The yaw of the workspace ends at 2 rad: from the learned pose the camera turns by 1.4 rad one way at most."""
+    pose = np.array([0.5, 0.0, 0.0])
+    states = np.array([[0.5, 0.0, turn] for turn in (0.0, 1.3, 1.5, -2.5, -2.7, 3.0)])
+    assert compare("object-1", [at(RED, pose)], pose, states=states).views.tolist() == [0, 1, 3]
+    # The learned object stands 8 cm from the border of the workspace, so all places around it count.
+    assert len(compare("object-1", [at(RED, pose)], pose, states=around(pose, spread=0.029)).views) == 25
+
+
+def test_of_an_object_at_the_border_views_from_beyond_it_are_not_compared():
+    found = learn((Thing(0, (0.33, 0.0, 0.0)),))
+    pose = np.array([0.5, 0.0, 0.0])
+    states = np.array([pose, moved(pose, -0.004, 0, 0), moved(pose, -0.006, 0, 0), moved(pose, 0.02, 0, 0)])
+    check = verifier("object-1", found=found)
+    assert check.compare(pose, states, paint(states, [at(RED, pose)], CAMERA)).views.tolist() == [0, 1, 3]
+
+
+def test_of_many_views_no_more_than_asked_for_are_compared_from_first_to_last():
+    settings = IdentificationConfig(views=7)
+    comparison = compare("object-1", [at(RED)], states=around(PLACE, 40), settings=settings)
+    assert len(comparison.mismatch) == 7
+    assert len(set(comparison.views)) == 7
+    assert comparison.views[0] < 5
+    assert comparison.views[-1] > 34
+    every = compare("object-1", [at(RED)], states=around(PLACE, 40), settings=IdentificationConfig(views=40))
+    both = np.isin(every.views, comparison.views)
+    np.testing.assert_allclose(every.mismatch[both], comparison.mismatch, atol=1e-12)
+
+
+def test_mismatch_is_the_logarithm_of_how_many_times_larger_the_error_is():
+    """Of a blank only the error counts: three times the noise on the table is ln 3 of mismatch."""
+    states = around(PLACE)
+    check = verifier("blank-1")
+    mismatches = [check.compare(PLACE, states, paint(states, [], CAMERA, noise)).typical for noise in (3.0, 9.0)]
+    assert mismatches[0] == pytest.approx(0.0, abs=0.05)
+    assert mismatches[1] == pytest.approx(math.log(3.0), abs=0.1)
+
+
+def test_being_unsure_counts_as_a_mismatch_by_its_logarithm():
+    """A model that is twice as unsure about the candidate as about its own views, and paints it as well."""
+
+    class Unsure(PaintedModel):
+        factor = 1.0
+
+        def decode(self, latents, states):
+            images, std = super().decode(latents, states)
+            return images, std * self.factor
+
+    model = Unsure(LEARNED.config, LEARNED.weights)
+    check = Verifier(model, LEARNED.fingerprints[0], LEARNED.config, SETTINGS)
+    states = around(PLACE)
+    images = paint(states, [at(RED)], CAMERA, seed=5)
+    before = check.compare(PLACE, states, images).mismatch
+    model.factor = 2.0
+    np.testing.assert_allclose(check.compare(PLACE, states, images).mismatch, before + math.log(2.0), atol=1e-6)
+
+
+def test_views_that_are_compared_come_from_where_the_learned_object_would_show_the_same():
+    """What is asked of the model is the learned table: it is never told where the candidate stands."""
+
+    class Spy(PaintedModel):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            self.told = []
+
+        def encode(self, states, images):
+            self.told.append(states)
+            return super().encode(states, images)
+
+        def decode(self, latents, states):
+            self.told.append(states)
+            return super().decode(latents, states)
+
+    model = Spy(LEARNED.config, LEARNED.weights)
+    check = Verifier(model, LEARNED.fingerprints[0], LEARNED.config, SETTINGS)
+    states = around(PLACE)
+    model.told.clear()
+    views = check.compare(PLACE, states, paint(states, [at(RED)], CAMERA)).views
+    expected = move(states[views], PLACE, np.array(RED.pose))
+    assert len(model.told) == 2
+    for told in model.told:
+        np.testing.assert_allclose(told, expected, atol=1e-9)
+
+
+def test_the_camera_is_the_one_that_the_model_was_trained_with():
+    """Seen from twice the height, the table within the object's radius is a quarter of the pixels."""
+    config = Config.from_dict({**LEARNED.config.to_dict(), "camera": {"width": 45, "height": 45, "distance": 0.6}})
+    check = Verifier(None, LEARNED.fingerprints[0], config, IdentificationConfig(features="pixels"))
+    states = PLACE[None]
+    images = np.zeros((1, 45, 45, 3), np.uint8)
+    plain = check.compare(PLACE, states, images).mismatch
+    images[0, :, :12] = 255  # outside of the quarter
+    assert check.compare(PLACE, states, images).mismatch == pytest.approx(plain)
+    images[0, 20:25, 20:25] = 255
+    assert check.compare(PLACE, states, images).mismatch != pytest.approx(plain)
