@@ -74,7 +74,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     own = sorted({Path(found.config.simulation.world).stem for found in sets})
     for condition in options.conditions:
-        for world in own + [name for name in options.worlds if name not in own]:
+        for world in (own if condition == "clean" else []) + [name for name in options.worlds if name not in own]:
             states, images = stream(world, condition, options.count, folder)
             # The paper tests a session in its own workspace, and all sessions in the test workspaces.
             looked = (

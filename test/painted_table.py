@@ -33,31 +33,35 @@ def seen_points(states, camera):
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
     rays = np.stack((columns, rows, np.ones_like(rows)), axis=-1) * camera.distance
     rays = rays @ np.linalg.inv(intrinsics(camera.width, camera.height, camera.field_of_view)).T
-    turns = np.stack([optical_rotation(state[2]) for state in states])
-    return np.einsum("nij,hwj->nhwi", turns, rays)[..., :2] + np.asarray(states)[:, None, None, :2]
+    turns = np.array([optical_rotation(state[2]) for state in states]).reshape(-1, 3, 3)
+    return (rays @ turns[:, None, :2].transpose(0, 1, 3, 2)) + np.reshape(states, (-1, 3))[:, None, None, :2]
 
 
 def paint(states, things: Sequence[Thing], camera: CameraConfig, noise=3.0, seed=0):
     """Photographs (N, H, W, 3) uint8 of the things from states (N, 3); noise: of the table, grey levels."""
     random = np.random.default_rng(seed)
-    return np.concatenate(
-        [_paint(part, things, camera, noise, random) for part in np.array_split(states, 1 + len(states) // 64)]
-    )
+    parts = np.array_split(np.asarray(states).reshape(-1, 3), 1 + len(states) // 64)
+    return np.concatenate([_paint(part, things, camera, noise, random) for part in parts])
 
 
 def _paint(states, things, camera, noise, random):
-    shape = (len(states), camera.height, camera.width, 3)
-    if not len(states):
-        return np.empty(shape, np.uint8)
-    images = np.array(TABLE, np.float32) + noise * random.standard_normal(shape, np.float32)
+    images = np.empty((len(states), camera.height, camera.width, 3), np.float32)
+    images[:] = TABLE
+    images += noise * random.standard_normal(images.shape, np.float32)
     points = seen_points(states, camera)
     for thing in things:
-        x, y, yaw = thing.pose
-        away = points - (x, y)
-        inside = np.hypot(away[..., 0], away[..., 1]) < thing.radius
-        images[inside] = KINDS[thing.kind][0]
-        images[inside & (away @ (np.cos(yaw), np.sin(yaw)) > 0.0)] = KINDS[thing.kind][1]
+        _cover(images, points, thing, np.tile(thing.pose, (len(states), 1)))
     return np.clip(np.rint(images), 0, 255).astype(np.uint8)
+
+
+def _cover(images, points, thing, poses):
+    """Paint a thing over images whose pixels show these points, in each image at a pose of its own (N, 3)."""
+    across, along = np.moveaxis(points - poses[:, None, None, :2], -1, 0)
+    inside = across**2 + along**2 < thing.radius**2
+    towards = across * np.cos(poses[:, 2])[:, None, None] + along * np.sin(poses[:, 2])[:, None, None]
+    images[inside] = KINDS[thing.kind][0]
+    images[inside & (towards > 0.0)] = KINDS[thing.kind][1]
+    return inside
 
 
 def random_states(workspace, count, seed=0):
@@ -75,8 +79,7 @@ class PaintedModel:
 
     IMPERFECTION = 20.0  # grey levels
     SURE, FAIR, UNSURE = 0.01, 0.08, 0.3  # predicted standard deviations of the table, a thing, and what is not known
-    _IDENTITY = 4.0
-    _PLACE = 0.012  # m
+    _IDENTITY, _PLACE, _TURN = 6.0, 0.012, 4.0  # how much things differ; m and 1/rad that change a latent by 1
     _BELONGS = 0.08  # m
     _GIVES_WAY = (0.006, 0.006, 0.25)  # m, m, rad: farthest that a thing is painted from where it stood
 
@@ -87,24 +90,25 @@ class PaintedModel:
         self.encoded = 0
 
     def image_features(self, images):
-        """(N, 3 + F): index of the thing that takes most room, how it lies in the camera's frame."""
+        """(N, 4): index of the thing that takes most room, and how it lies in the camera's frame [m, m, rad]."""
         self.encoded += len(images)
         points = seen_points(np.zeros((1, 3)), self.camera)[0]
-        return np.stack([self._features(image.astype(np.int32), points) for image in images]).astype(np.float32)
+        return np.array([self._features(codes, points) for codes in _codes(images)], np.float32).reshape(-1, 4)
 
     def encode(self, states, images):
         return self.encode_features(states, self.image_features(images))
 
     def encode_features(self, states, features):
-        index, identities = features[:, 0].astype(int), len(self.known) + 2
-        latents = np.zeros((len(states), self.latent_size), np.float32)
+        index, latents = features[:, 0].astype(int), np.zeros((len(states), self.latent_size), np.float32)
         latents[np.arange(len(states)), index] = self._IDENTITY
         cosine, sine = np.cos(states[:, 2]), np.sin(states[:, 2])
-        x = states[:, 0] + cosine * features[:, 1] - sine * features[:, 2] - self.workspace.centre[0]
-        y = states[:, 1] + sine * features[:, 1] + cosine * features[:, 2] - self.workspace.centre[1]
-        yaw = states[:, 2] + features[:, 3]
-        place = np.stack((x / self._PLACE, y / self._PLACE, np.cos(yaw), np.sin(yaw)), axis=1)
-        latents[:, identities:] = place * (index < len(self.known))[:, None]
+        x = states[:, 0] + cosine * features[:, 1] - sine * features[:, 2]
+        y = states[:, 1] + sine * features[:, 1] + cosine * features[:, 2]
+        pose = np.stack((x, y, states[:, 2] + features[:, 3]), axis=1)
+        for number, thing in enumerate(self.known):
+            dx, dy, turn = (pose[index == number] - thing.pose).T
+            place = (dx / self._PLACE, dy / self._PLACE, self._TURN * (np.cos(turn) - 1.0), self._TURN * np.sin(turn))
+            latents[index == number, -4:] = np.stack(place, axis=1)
         return latents, np.full_like(latents, 0.1)
 
     def encode_pairs(self, states, features):
@@ -112,34 +116,32 @@ class PaintedModel:
         return np.stack(pairs)
 
     def decode(self, latents, states):
-        table, images, std = len(self.known), [], np.full(len(states), self.UNSURE)
-        index = latents[:, : table + 2].argmax(axis=1)
+        table = len(self.known)
+        index, std = latents[:, : table + 2].argmax(axis=1), np.full(len(states), self.UNSURE)
         std[index == table] = self.SURE
-        for number, (latent, state) in enumerate(zip(latents, states)):
-            thing = self._remembered(latent, index[number]) if index[number] < table else None
-            image = paint(state[None], [thing] if thing else [], self.camera, noise=0.0)[0] / 255.0
-            if thing:
-                image += self.IMPERFECTION / 255.0 * np.any(image != np.array(TABLE) / 255.0, axis=-1, keepdims=True)
-                if np.hypot(*(state[:2] - thing.pose[:2])) < self._BELONGS:
-                    std[number] = self.FAIR
-            images.append(image)
-        return np.clip(images, 0.0, 1.0).astype(np.float32), std.astype(np.float32)
+        images = np.empty((len(states), self.camera.height, self.camera.width, 3), np.float32)
+        images[:] = TABLE
+        points = seen_points(states, self.camera)
+        for number, thing in enumerate(self.known):
+            rows = np.flatnonzero(index == number)
+            own = images[rows]
+            inside = _cover(own, points[rows], thing, self._remembered(thing, latents[rows]))
+            own[inside] += self.IMPERFECTION
+            images[rows] = own
+            std[rows[np.hypot(*(states[rows, :2] - thing.pose[:2]).T) < self._BELONGS]] = self.FAIR
+        return np.clip(images / 255.0, 0.0, 1.0), std.astype(np.float32)
 
-    def _remembered(self, latent, index):
-        """The thing that a latent is of, about where it stood."""
-        x, y, cosine, sine = latent[len(self.known) + 2 :]
-        place = self.workspace.centre[:2] + self._PLACE * np.array([x, y])
-        learned = np.array(self.known[index].pose)
-        change = np.array([*place, np.arctan2(sine, cosine)]) - learned
-        change[2] = np.arctan2(np.sin(change[2]), np.cos(change[2]))
-        return self.known[index]._replace(
-            pose=tuple(learned + np.clip(change, np.negative(self._GIVES_WAY), self._GIVES_WAY))
-        )
+    def _remembered(self, thing, latents):
+        """The poses (N, 3) of a thing that latents are of, about where it stood."""
+        x, y, cosine, sine = latents[:, -4:].T
+        turn = np.arctan2(sine, cosine + self._TURN)
+        change = np.stack((self._PLACE * x, self._PLACE * y, turn), axis=1)
+        return thing.pose + np.clip(change, np.negative(self._GIVES_WAY), self._GIVES_WAY)
 
-    def _features(self, image, points):
-        sides = [[np.abs(image - colour).sum(axis=-1) < 60 for colour in KINDS[thing.kind]] for thing in self.known]
+    def _features(self, codes, points):
+        sides = [[codes == _code(colour) for colour in KINDS[thing.kind]] for thing in self.known]
         room = [np.sum(both) for both in sides]
-        strange = (np.abs(image - TABLE).sum(axis=-1) > 90).sum() - sum(room)
+        strange = np.isin(codes, _CODES).sum() - sum(room)
         if max([*room, strange]) < 5:
             return len(self.known), 0.0, 0.0, 0.0
         if strange > max(room, default=0):
@@ -149,6 +151,18 @@ class PaintedModel:
         middle = points[plain | marked].mean(axis=0)
         towards = (points[marked].mean(axis=0) if marked.any() else middle) - middle
         return index, middle[0], middle[1], np.arctan2(towards[1], towards[0])
+
+
+def _codes(images):
+    """One number (N, H, W) for each colour."""
+    return images.astype(np.int32) @ np.array([65536, 256, 1], np.int32)
+
+
+def _code(colour):
+    return int(_codes(np.array(colour)))
+
+
+_CODES = [_code(colour) for colours in KINDS for colour in colours]
 
 
 def latents_for(things: int) -> int:

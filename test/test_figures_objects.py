@@ -143,7 +143,7 @@ def test_beliefs_of_few_and_of_many_fingerprints_are_drawn(tmp_path, recwarn, co
 def test_beliefs_can_be_read_however_many_there_are(count):
     reason = "seen from 4 places only, 5 are needed"
     decisions = [make_decision(0.62, 0.14, instance=0, reason=reason)]
-    panels = [make_panel(decisions, title=f"{LONG} object-1")] * count
+    panels = [make_panel(decisions, title=f"{LONG[:64]}\nobject-1")] * count
     figure = beliefs_figure(WORKSPACE, panels, objects=OBJECTS)
     assert_nothing_is_cut(figure)
     boxes = [axes.get_window_extent() for axes in figure.axes]

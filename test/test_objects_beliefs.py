@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,16 @@ from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
 from embodied_active_learning.workspace import Workspace
 
 WORKSPACE = Workspace()
-SETTINGS = IdentificationConfig(cells=(20, 16, 12))
+SETTINGS = IdentificationConfig(
+    cells=(20, 16, 12),
+    near_variance=0.156,
+    far_pull=0.02,
+    kernel_std=0.042,
+    kernel_yaw_std=0.56,
+    margin=0.0225,
+    independence_distance=0.01,
+    independence_turn=0.2,
+)
 MEASUREMENTS = st.lists(
     st.tuples(
         st.floats(0.2, 0.8),
@@ -29,7 +39,7 @@ MEASUREMENTS = st.lists(
 
 
 def make_grid(**values):
-    return BeliefGrid(WORKSPACE, IdentificationConfig(**{"cells": (20, 16, 12), **values}))
+    return BeliefGrid(WORKSPACE, replace(SETTINGS, **values))
 
 
 def measure(grid, *measurements):
@@ -266,6 +276,20 @@ def test_peaks_may_have_a_yaw_that_the_camera_cannot_take():
     assert pose[2] == pytest.approx(3.0, abs=math.pi / 18)
 
 
+def test_yaws_of_a_place_are_the_maxima_around_the_circle_the_highest_first():
+    grid = measure(
+        make_grid(cells=(40, 40, 18)), ((0.45, 0.0, 3.1), 0.9), ((0.45, 0.0, 0.3), 1.0), ((0.45, 0.0, -1.5), 0.8)
+    )
+    width = 2.0 * math.pi / 18
+    found = grid.yaws(np.array([0.452, 0.003, 1.0]), 3)
+    assert found == pytest.approx([0.3, 3.1, -1.5], abs=0.5 * width)
+    assert grid.yaws(np.array([0.452, 0.003, 1.0]), 2) == found[:2]
+
+
+def test_a_place_of_which_no_yaw_is_known_keeps_its_own():
+    assert make_grid().yaws(np.array([0.45, 0.0, 1.0]), 3) == [1.0]
+
+
 PLACE = (0.45, 0.02, 0.5)
 
 
@@ -301,6 +325,6 @@ def test_it_makes_no_difference_in_which_parts_the_stream_comes(seed, cuts):
 
 
 def test_counted_images_all_count_fully():
-    stream = EvidenceWeights(IdentificationConfig(evidence="counted"))
+    stream = EvidenceWeights(replace(SETTINGS, evidence="counted"))
     np.testing.assert_array_equal(stream.of(np.tile(PLACE, (5, 1))), np.ones(5))
     np.testing.assert_array_equal(stream.of(np.tile(PLACE, (2, 1))), np.ones(2))

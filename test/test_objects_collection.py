@@ -21,7 +21,7 @@ CONFIG = Config()
 
 def configuration(samples=300, **fingerprint):
     """One that is fast: fewer views, and a coarser target, around which they spread less evenly."""
-    values = {"exploration": {"samples": samples}, "fingerprint": {"views": 20, **fingerprint}}
+    values = {"exploration": {"samples": samples}, "fingerprint": {"views": 20, "steps_per_view": 3, **fingerprint}}
     return Config.from_dict(values)
 
 

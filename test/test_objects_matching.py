@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config, IdentificationConfig
+from embodied_active_learning.errors import ObservationError
+from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import move, pose_distance
 from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint
 from embodied_active_learning.objects.matching import PIXELS, Matcher
@@ -127,11 +129,11 @@ def test_values_stay_finite_when_views_of_two_fingerprints_are_equal():
     assert values[0] == pytest.approx(0.88, abs=0.01)
 
 
-def test_single_fingerprint_with_a_single_view_can_be_matched():
-    item = random_fingerprint("object-1", 1, 3)
-    own = Matcher(ImageLatents(), [item], LATENTS).match(item.states, item.images)[0]
-    assert own.view[0] == 0
-    assert own.value[0] == pytest.approx(0.88, abs=0.01)
+def test_single_view_is_refused_and_two_fingerprints_of_one_view_each_are_not():
+    one, other = (random_fingerprint(f"object-{seed}", 1, seed) for seed in (1, 2))
+    with pytest.raises(ObservationError, match="a single view leaves nothing to tell"):
+        Matcher(ImageLatents(), [one], LATENTS)
+    assert Matcher(ImageLatents(), [one, other], LATENTS).match(*states_of(one))[0].value[0] > 0.87
 
 
 def test_distance_is_between_the_stored_latent_and_that_of_the_image_at_the_stored_state():

@@ -12,7 +12,8 @@ from embodied_active_learning.config import CameraConfig
 
 def wrap(angles: np.ndarray) -> np.ndarray:
     """Angles in [-pi, pi), rad."""
-    return (np.asarray(angles) + math.pi) % (2.0 * math.pi) - math.pi
+    wrapped = (np.asarray(angles) + math.pi) % (2.0 * math.pi) - math.pi
+    return np.where(wrapped < math.pi, wrapped, -math.pi)  # the remainder of a tiny negative number is the whole circle
 
 
 def metres_per_pixel(camera: CameraConfig) -> float:

@@ -33,12 +33,12 @@ from embodied_active_learning.workspace import Workspace
 
 # Everything has its place in inches: to find one for 60 maps would take matplotlib half a minute.
 _COLUMNS = 4
-_CELL = (3.35, 2.55)  # a map, its title above it and its note to the right
+_CELL = (3.35, 2.65)  # a map, its title above it and its note to the right
 _MAP = 2.0  # the side of a map, if it is square
 _THUMBNAIL = 0.85
 _GAP = 0.08
-_LEFT, _TOP, _BOTTOM = 0.65, 0.9, 0.55  # borders of the figure
-_TITLE_WIDTH = 42  # letters
+_LEFT, _TOP, _BOTTOM = 0.65, 1.1, 0.55  # borders of the figure
+_TITLE_WIDTH, _TITLE_LINES = 42, 3  # letters
 _NOTE_WIDTH = 20
 _LEAST_RANGE = 1e-6
 
@@ -47,7 +47,7 @@ _LEAST_RANGE = 1e-6
 class BeliefPanel:
     """What is believed of one fingerprint, and what was decided."""
 
-    title: str
+    title: str  # up to three lines
     thumbnail: np.ndarray  # (H, W, 3) uint8
     x: np.ndarray  # (nx,) m, middles of the cells, the same in all panels
     y: np.ndarray  # (ny,) m
@@ -112,8 +112,9 @@ def _draw_map(axes: Axes, panel: BeliefPanel, workspace: Workspace, objects: Seq
     draw_limits(axes, extent_of(workspace), "white")
     mark_objects(axes, objects, behind=True)
     mark_decisions(axes, panel.decisions)
-    lines = textwrap.wrap(panel.title, _TITLE_WIDTH, max_lines=2, placeholder=" ...")
-    axes.set_title("\n".join(lines), fontsize=MEDIUM, loc="left")
+    wrapped = (textwrap.wrap(line, _TITLE_WIDTH, max_lines=2, placeholder=" ...") for line in panel.title.splitlines())
+    lines = [part for parts in wrapped for part in parts]
+    axes.set_title("\n".join(lines[:_TITLE_LINES]), fontsize=MEDIUM, loc="left")
 
 
 def _draw_note(axes: Axes, panel: BeliefPanel) -> None:

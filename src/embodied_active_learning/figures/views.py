@@ -28,6 +28,7 @@ _OUTLINE = (patheffects.withStroke(linewidth=2.5, foreground="black"),)
 _CROSS_STYLE = {"color": "white", "markeredgewidth": 1.4, "path_effects": _OUTLINE}
 _CROSS = 9  # points across
 _MARKER = 11
+_ABOVE_NAMES = 4  # matplotlib's order of drawing: texts have 3
 _WIDE = 9.5  # inches of a figure on which all marks are explained in one line
 _TICK = (0.04, 0.09)  # beginning and end, from the middle of the marker, of the width of the axes
 _LETTER = 0.6  # width of most letters, of their size
@@ -97,7 +98,8 @@ def mark_decisions(axes: Axes, decisions: Sequence[Decision]) -> None:
         mark_pose(axes, decision.pose, decision.kind != BLANK, decision.found)
         if decision.found:
             number = str(decision.instance)
-            axes.annotate(number, (x, y), color="white", fontsize=SMALL, weight="bold", ha="center", va="center")
+            style = {"color": "white", "fontsize": SMALL, "weight": "bold", "zorder": _ABOVE_NAMES + 1}
+            axes.annotate(number, (x, y), ha="center", va="center", **style)
         _write_beside(axes, f"{decision.sureness:.0%}", (x, y), SMALL, above=False)
 
 
@@ -158,6 +160,7 @@ def _marker_style(found: bool) -> Dict[str, Any]:
         "markeredgecolor": "white",
         "markeredgewidth": 1.4,
         "path_effects": _OUTLINE,
+        "zorder": _ABOVE_NAMES,
     }
 
 

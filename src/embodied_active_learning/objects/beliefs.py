@@ -82,10 +82,12 @@ class BeliefGrid:
         No two are closer than a distance [m].
         """
         mean = self.mean
-        highest = mean.max(axis=2)
+        inside = self._workspace.contains(
+            np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), 0.0 * mean[..., 0]], -1)
+        )
+        highest = np.where(inside, mean.max(axis=2), -1.0)
         spacing = (self.x[1] - self.x[0], self.y[1] - self.y[0])
         size = [2 * max(1, int(0.5 * distance / step)) + 1 for step in spacing]
-        inside = self._workspace.contains(np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), 0.0 * highest], -1))
         rows, columns = np.nonzero((maximum_filter(highest, size) == highest) & inside)
         found: List[Tuple[np.ndarray, float, float]] = []
         for index in np.argsort(-highest[rows, columns], kind="stable"):
@@ -98,6 +100,13 @@ class BeliefGrid:
             if len(found) == most:
                 break
         return found
+
+    def yaws(self, pose: np.ndarray, most: int) -> List[float]:
+        """Local maxima of the mean over yaw [rad] in the cell of a pose (3,), the highest first."""
+        row, column = np.abs(self.x - pose[0]).argmin(), np.abs(self.y - pose[1]).argmin()
+        mean = self.mean[row, column]
+        top = np.flatnonzero((mean >= np.roll(mean, 1)) & (mean > np.roll(mean, -1)))
+        return [float(self.yaw[index]) for index in top[np.argsort(-mean[top], kind="stable")][:most]] or [pose[2]]
 
     def _covers(self, pose: np.ndarray) -> bool:
         return bool(self.x[0] <= pose[0] <= self.x[-1] and self.y[0] <= pose[1] <= self.y[-1])

@@ -19,6 +19,8 @@ from embodied_active_learning.workspace import Workspace
 
 _SAME_CAMERA = ("width", "height", "field_of_view", "distance")
 _CHUNK = 64
+_YAWS = 3
+"""Yaws that are tried at each peak, the most believed first."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Decision:
     found: bool
     instance: int  # 1, 2, ... of those found; 0 when not found
     pose: np.ndarray  # (3,) m, m, rad
-    sureness: float  # share of the compared views that agree, 0 to 1
+    sureness: float  # share of the compared views that agree, 0 to 1; 0 when they are too few
     mismatch: float  # nat, median over the views; infinite without views
     views: int  # compared views
     belief_mean: float
@@ -84,6 +86,8 @@ class Identification:
         self.images = 0
         for found in sets:
             _check_camera(found, camera)
+            if not found.fingerprints:
+                continue
             model = LearnedModel(found.config, found.weights)
             matcher = Matcher(model, found.fingerprints, settings)
             sought = []
@@ -125,30 +129,47 @@ class Identification:
     def _candidates(self, item: Sought, states: np.ndarray, images: np.ndarray) -> List[Decision]:
         """Every peak of a belief, the highest first, decided on its own."""
         settings = self._settings
-        trace = item.trace
-        decided = []
-        for peak, mean, std in item.grid.peaks(settings.separation, settings.candidates):
-            pose = _refined(peak, trace)
-            comparison = item.verifier.compare(pose, states, images)
-            agreeing = self._agreeing(item, comparison, pose)
-            found, reason = self._judge(agreeing, mean)
-            decided.append(
-                Decision(
-                    item.session,
-                    item.fingerprint.name,
-                    item.fingerprint.kind,
-                    found,
-                    0,
-                    pose,
-                    float(agreeing.mean()) if len(agreeing) else 0.0,
-                    comparison.typical,
-                    len(agreeing),
-                    mean,
-                    std,
-                    reason,
-                )
-            )
-        return decided
+        peaks = item.grid.peaks(settings.separation, settings.candidates)
+        return [self._candidate(item, *peak, states, images) for peak in peaks]
+
+    def _candidate(
+        self, item: Sought, peak: np.ndarray, mean: float, std: float, states: np.ndarray, images: np.ndarray
+    ) -> Decision:
+        """The decision at a peak (3,), at the yaw that more of the views agree with.
+
+        An object may look much the same from two sides; at the wrong one, views are explained badly, or the camera
+        could not have been there.
+        """
+        yaws = [peak[2]] if item.fingerprint.kind == BLANK else item.grid.yaws(peak, _YAWS)
+        tried: List[Decision] = []
+        for yaw in yaws:
+            pose = _refined(np.array([peak[0], peak[1], yaw]), item.trace)
+            tried.append(self._at(item, pose, mean, std, states, images))
+            if tried[-1].found:
+                break
+        return max(tried, key=lambda decision: (decision.found, decision.sureness))
+
+    def _at(
+        self, item: Sought, pose: np.ndarray, mean: float, std: float, states: np.ndarray, images: np.ndarray
+    ) -> Decision:
+        """The decision at a pose (3,), where the belief has a mean and a standard deviation."""
+        comparison = item.verifier.compare(pose, states, images)
+        agreeing = self._agreeing(item, comparison, pose)
+        found, reason = self._judge(agreeing, mean)
+        return Decision(
+            session=item.session,
+            fingerprint=item.fingerprint.name,
+            kind=item.fingerprint.kind,
+            found=found,
+            instance=0,
+            pose=pose,
+            sureness=float(agreeing.mean()) if len(agreeing) >= self._settings.min_views else 0.0,
+            mismatch=comparison.typical,
+            views=len(agreeing),
+            belief_mean=mean,
+            belief_std=std,
+            reason=reason,
+        )
 
     def _agreeing(self, item: Sought, comparison: Comparison, pose: np.ndarray) -> np.ndarray:
         """Which of the compared views (V,) say that the fingerprint's object is at the candidate pose.
@@ -176,12 +197,17 @@ class Identification:
         """The candidate, or why another fingerprint of the same model has its place."""
         if not candidate.found:
             return candidate
-        for other in found:
-            distance, _ = pose_distance(candidate.pose, other.pose)
-            rival = other.fingerprint != candidate.fingerprint and distance < self._settings.separation
-            if rival and other.sureness > candidate.sureness:
-                return replace(candidate, found=False, reason=f"{other.fingerprint} fits better there")
-        return candidate
+        rivals = [
+            other
+            for other in found
+            if other.kind == candidate.kind
+            and (other is candidate or other.fingerprint != candidate.fingerprint)
+            and pose_distance(candidate.pose, other.pose)[0] < self._settings.separation
+        ]
+        best = max(rivals, key=lambda rival: rival.sureness)  # the first of equals
+        if best is candidate:
+            return candidate
+        return replace(candidate, found=False, reason=f"{best.fingerprint} fits better there")
 
 
 def _refined(peak: np.ndarray, trace: Matches, distance: float = 0.02, turn: float = 0.5) -> np.ndarray:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import move
 from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.objects.fingerprint import Fingerprint
@@ -33,7 +34,10 @@ class Matcher:
     def __init__(
         self, model: LearnedModel, fingerprints: Sequence[Fingerprint], settings: IdentificationConfig
     ) -> None:
-        """The threshold is the smallest distance between views of different fingerprints (paper, appendix)."""
+        """The threshold is the smallest distance between views of different fingerprints (paper, appendix).
+
+        Raises ObservationError for one fingerprint of one view.
+        """
         self._model = model
         self._fingerprints = tuple(fingerprints)
         self._by_pixels = settings.features == "pixels"
@@ -76,6 +80,8 @@ def _threshold(own: Sequence[np.ndarray]) -> Tuple[float, float]:
         distances = np.concatenate(
             [_pairwise(one, other).ravel() for index, one in enumerate(own) for other in own[:index]]
         )
+    if not distances.size:
+        raise ObservationError("a single view leaves nothing to tell a near match from a far one: take more views")
     return float(max(distances.min(), 1e-9)), float(distances.max())
 
 

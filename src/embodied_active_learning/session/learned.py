@@ -29,7 +29,9 @@ def load_trained(session: Session) -> Optional[Trained]:
     path = session.paths.model
     if path.exists():
         weights, facts = load_model(path)
-        updates = facts["updates"]
+        updates = facts.get("updates")
+        if type(updates) is not int:
+            raise CorruptFileError(f"{path}: updates is {updates!r}, expected a number: train again")
     else:
         checkpoint = load_latest(session.paths.checkpoints)
         if checkpoint is None:
