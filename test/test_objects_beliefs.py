@@ -271,6 +271,12 @@ def test_peaks_lie_inside_the_workspace_and_not_in_the_margin():
     assert found[0][0][:2] == pytest.approx((0.45, 0.1), abs=0.006)
 
 
+def test_at_the_border_a_peak_counts_though_the_belief_is_higher_beyond_it():
+    grid = measure(make_grid(cells=(40, 40, 18), margin=0.05), ((0.645, 0.05, 0.0), 1.0), ((0.45, 0.05, 0.0), 0.0))
+    pose, _, _ = grid.peaks(0.06, 1)[0]
+    assert pose[:2] == pytest.approx((0.62, 0.05), abs=0.011)
+
+
 def test_peaks_may_have_a_yaw_that_the_camera_cannot_take():
     pose, _, _ = measure(make_grid(cells=(40, 40, 18)), ((0.45, 0.0, 3.0), 1.0)).peaks(0.06, 1)[0]
     assert pose[2] == pytest.approx(3.0, abs=math.pi / 18)

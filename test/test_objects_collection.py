@@ -153,7 +153,7 @@ def test_object_just_beyond_the_border_is_viewed_from_inside():
 
 
 def test_a_box_larger_than_the_workspace_is_cut_to_it():
-    arm = collect(config=configuration(views=5, view_box=0.5, view_std=0.05))
+    arm = collect(config=configuration(views=12, view_box=0.5, view_std=0.2))
     assert arm.collection.complete
     assert np.all(WORKSPACE.contains(np.array(arm.path), 1e-9))
     speeds = np.abs([command.velocity for command in arm.commands])

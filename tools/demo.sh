@@ -7,6 +7,7 @@ cd "$(dirname "$0")/.."
 
 root="${HOME}/.ros/embodied_active_learning"
 session="demo-$(date +%Y%m%d-%H%M%S)-$$"
+profile=demo
 identify_world=star_plant_duck
 images=1000
 learn=()
@@ -16,6 +17,7 @@ for argument in "$@"; do
         session_root:=*) root="${argument#session_root:=}" ;;
         identify_world:=*) identify_world="${argument#identify_world:=}" ;;
         images:=*) images="${argument#images:=}" ;;
+        profile:=*) profile="${argument#profile:=}" ;;
         *) learn+=("$argument") ;;
     esac
 done
@@ -23,7 +25,7 @@ root="${root/#\~/$HOME}"
 found="${session:0:60}-id"  # names have at most 64 characters
 
 echo "1 of 3: learning"
-tools/learn.sh profile:=demo "session:=$session" "session_root:=$root" "${learn[@]}"
+tools/learn.sh "profile:=$profile" "session:=$session" "session_root:=$root" "${learn[@]}"
 
 source tools/local_master.bash
 echo "2 of 3: fingerprinting"
@@ -32,6 +34,6 @@ roslaunch embodied_active_learning fingerprint.launch "session:=$session" "sessi
 python3 tools/check_session.py fingerprinted "$root/$session"
 
 echo "3 of 3: identifying in $identify_world"
-roslaunch embodied_active_learning identify.launch profile:=demo "sessions:=$session" "world:=$identify_world" \
+roslaunch embodied_active_learning identify.launch "profile:=$profile" "sessions:=$session" "world:=$identify_world" \
     "images:=$images" explorer:=uniform_ergodic "session:=$found" "session_root:=$root" name:=demo
 exec python3 tools/check_session.py identified "$root/$found" demo

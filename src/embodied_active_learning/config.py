@@ -201,7 +201,7 @@ class FingerprintConfig:
     exponent: float = setting(3.0, "power of the standard deviation in the weight of a sample", "", 0.1, 20.0)
     bandwidth: float = setting(0.045, "bandwidth of mean-shift clustering", "m", 0.005, 0.5)
     min_share: float = setting(0.05, "share of the samples that a cluster needs to be an object", "", 0.0, 1.0)
-    merge_distance: float = setting(0.03, "distance below which two centres are one object", "m", 0.0, 0.5)
+    merge_distance: float = setting(0.05, "distance below which two centres are one object", "m", 0.0, 0.5)
     min_contrast: float = setting(
         2.0, "largest over smallest predicted standard deviation below which there is nothing to find", "", 1.0, 100.0
     )
@@ -321,6 +321,8 @@ class Config:
             raise ConfigError(
                 f"identification/cells needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"
             )
+        if self.identification.min_views > self.identification.views:
+            raise ConfigError("identification/min_views is larger than identification/views: nothing would be found")
         if len(self.planner.velocity_limits) != box.size:
             raise ConfigError(
                 f"planner/velocity_limits needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import List, Sequence
+from typing import List, Optional, Sequence
 
+from embodied_active_learning.config import FingerprintConfig
 from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.objects.clusters import find_objects
 from embodied_active_learning.objects.collection import ViewCollection
@@ -18,14 +20,15 @@ from embodied_active_learning.session.session import Session
 class FingerprintRun:
     """Finds the learned objects when it is made. Then fill `collections`, each begun at its start, and finish()."""
 
-    def __init__(self, session_path: Path) -> None:
+    def __init__(self, session_path: Path, settings: Optional[FingerprintConfig] = None) -> None:
         """Read the newest model of a session, also while it learns, and cluster its conditional entropy.
 
+        settings: how, if not as the session's own configuration has it.
         Raises SessionError when the session does not exist or has not learned anything, CorruptFileError for damage.
         """
         self._path = Path(session_path)
         session = Session.open_read_only(self._path)
-        self._config = session.config
+        self._config = replace(session.config, fingerprint=settings or session.config.fingerprint)
         trained = load_trained(session)
         if trained is None:
             raise SessionError(
@@ -67,18 +70,23 @@ class FingerprintRun:
         more = f"; {beyond} more out of the camera's reach were left out" if beyond else ""
         return f"{objects} objects and a blank region: {ratio}{more}"
 
+    def require_complete(self, name: str) -> None:
+        """Raise ObservationError unless the fingerprint of that name has all its views."""
+        collection = self.collections[self.names.index(name)]
+        if not collection.complete:
+            raise ObservationError(
+                f"{name}: only {len(collection.states)} of fingerprint/views ({self._config.fingerprint.views}) "
+                "different views could be taken, nothing was stored: see whether the arm moves, or ask for fewer views"
+            )
+
     def finish(self) -> FingerprintSet:
         """Encode the views of every collection and store the fingerprints, in place of earlier ones.
 
         Raises ObservationError when a collection is not complete; nothing is stored then. Raises SessionError when the
         disk fails.
         """
-        for name, collection in zip(self.names, self.collections):
-            if not collection.complete:
-                raise ObservationError(
-                    f"{name}: only {len(collection.states)} of fingerprint/views ({self._config.fingerprint.views}) "
-                    "different views could be taken: nothing was stored"
-                )
+        for name in self.names:
+            self.require_complete(name)
         found = FingerprintSet(
             session=self._path.name,
             updates=self._trained.updates,

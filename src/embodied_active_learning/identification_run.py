@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import List, Sequence, Tuple
+from typing import List, Sequence
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.identification import Decision, Identification
-from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, save_identification
 from embodied_active_learning.session.names import SessionPaths
 from embodied_active_learning.session.observations import ObservationStore
@@ -27,24 +26,30 @@ class IdentificationRun:
     """
 
     def __init__(
-        self, session_path: Path, sessions: Sequence[Path], name: str, images: int, settings: IdentificationConfig
+        self,
+        session_path: Path,
+        sets: Sequence[FingerprintSet],
+        name: str,
+        images: int,
+        settings: IdentificationConfig,
     ) -> None:
-        """session_path: whose images are looked at, so many; 0 for all there are. sessions: whose fingerprints.
+        """session_path: whose images are looked at, so many; 0 for all there are. sets: the fingerprints of sessions.
 
-        Raises SessionError for what does not exist, ConfigError when cameras differ.
+        Raises SessionError when there is no such session or nothing to look at, ConfigError when cameras differ.
         """
         self._path = Path(session_path)
         self.folder = identification_folder(self._path, name)
         self.figures = SessionPaths(self._path).figures
         self._name = name
-        if not sessions:
-            raise SessionError("no sessions were named whose fingerprints are to be found: give one at least")
+        self.sets = tuple(sets)
         self._session = Session.open_read_only(self._path)
-        self.sets: Tuple[FingerprintSet, ...] = tuple(load_fingerprints(path) for path in sessions)
         config = self._session.config
+        self.identification = Identification(self.sets, config.workspace.box(), config.camera, settings)
         self._store: ObservationStore = self._session.open_observations()
         self.images = images or len(self._store)
-        self.identification = Identification(self.sets, config.workspace.box(), config.camera, settings)
+        if self.images < 1:
+            self.close()
+            raise SessionError(f"there are no images to look at: {images} of {self._path} were asked for")
 
     @property
     def config(self) -> Config:

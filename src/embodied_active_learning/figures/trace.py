@@ -42,7 +42,7 @@ from embodied_active_learning.objects.identification import Decision
 from embodied_active_learning.objects.matching import Matches
 
 NEXT_TO = 0.03
-"""Distance [m] up to which an image counts as taken from next to a decision, as in identification/view_distance."""
+"""Distance [m] up to which an image counts as taken from next to a decision."""
 
 _MOST_DECISIONS = 4
 _SHOWN = 5  # images of a decision

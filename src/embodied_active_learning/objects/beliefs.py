@@ -56,12 +56,11 @@ class BeliefGrid:
         settings = self._settings
         ratio = 1.0 / settings.far_pull
         for pose, value, weight in zip(poses, values, weights):
-            along_x = _footprint(self.x - pose[0], settings.kernel_std)
-            along_y = _footprint(self.y - pose[1], settings.kernel_std)
-            along_yaw = _footprint(wrap(self.yaw - pose[2]), settings.kernel_yaw_std)
-            if self._covers(pose):
-                # The cell next to the pose takes the measurement in full, wherever in the cell the pose lies.
-                along_x, along_y, along_yaw = (axis / axis.max() for axis in (along_x, along_y, along_yaw))
+            # The cell next to a pose on the grid takes the measurement in full, wherever in the cell the pose lies.
+            full = self._covers(pose)
+            along_x = _footprint(self.x - pose[0], settings.kernel_std, full)
+            along_y = _footprint(self.y - pose[1], settings.kernel_std, full)
+            along_yaw = _footprint(wrap(self.yaw - pose[2]), settings.kernel_yaw_std, full)
             plane = (1.0 - ratio) * np.multiply.outer(along_x, along_y)
             information = np.multiply.outer(plane, along_yaw)
             information += ratio
@@ -137,5 +136,7 @@ class EvidenceWeights:
         return weights
 
 
-def _footprint(away: np.ndarray, std: float) -> np.ndarray:
-    return np.exp(-0.5 * np.square(away / std))
+def _footprint(away: np.ndarray, std: float, full: bool) -> np.ndarray:
+    """A Gaussian of distances (C,) along one axis; full: its largest value is made 1."""
+    energy = 0.5 * np.square(away / std)
+    return np.exp(energy.min() - energy) if full else np.exp(-energy)

@@ -16,6 +16,7 @@ from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.salience import Background
+from embodied_active_learning.workspace import Workspace
 
 _POOL = 20
 """Uniform states for each importance sample."""
@@ -65,17 +66,17 @@ def find_objects(model: LearnedModel, states: np.ndarray, images: np.ndarray, co
     contrast = float(high / low)
     if contrast < settings.min_contrast:
         return Clustering(contrast, True, (), ())
-    weights = std**settings.exponent
+    weights = (std / std.max()) ** settings.exponent
     samples = pool[random.choice(len(pool), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
-        points, yaws = samples[:, :2], samples[:, 2]
+        points, yaws, drawn = samples[:, :2], samples[:, 2], len(samples)
     else:
         seen_std = np.exp(model.log_std(latents, states)).mean(axis=0)
         easiest = np.argsort(seen_std)[: max(_LEAST_BACKGROUND, int(_BACKGROUND_SHARE * len(states)))]
         points, yaws = _salient_points(samples, states, images, Background(images[easiest]), config, random)
-    objects = _cluster(points, yaws, settings)
-    reach = settings.view_std / box.scale[:2].min()
-    reachable = [bool(box.contains(found.centre, reach)) for found in objects]
+        drawn = _PIXELS * len(samples)
+    objects = _cluster(points, yaws, drawn, settings, box)
+    reachable = [bool(np.abs((box.clip(c.centre) - c.centre)[:2]).max() <= settings.view_std) for c in objects]
     return Clustering(
         contrast,
         False,
@@ -117,16 +118,23 @@ def _salient_points(
     return np.concatenate(points), np.concatenate(yaws)
 
 
-def _cluster(points: np.ndarray, yaws: np.ndarray, settings: FingerprintConfig) -> List[Cluster]:
-    """Clusters of points (P, 2) [m], the largest first, without those that are too small or too close to a larger."""
-    if len(points) < settings.samples * settings.min_share:
+def _cluster(
+    points: np.ndarray, yaws: np.ndarray, drawn: int, settings: FingerprintConfig, box: Workspace
+) -> List[Cluster]:
+    """Clusters of points (P, 2) [m], the largest first, without those that are too small or too close to a larger.
+
+    drawn: how many points there would be if every sample had given its share.
+    """
+    if len(points) <= drawn * settings.min_share:
         return []
     shift = MeanShift(bandwidth=settings.bandwidth, bin_seeding=True, cluster_all=False).fit(points)
     found = []
     for label, centre in enumerate(shift.cluster_centers_):
         members = shift.labels_ == label
-        yaw = math.atan2(np.sin(yaws[members]).sum(), np.cos(yaws[members]).sum())
-        found.append(Cluster(OBJECT, np.array([*centre, wrap(yaw)]), float(members.mean())))
+        yaw = float(wrap(math.atan2(np.sin(yaws[members]).sum(), np.cos(yaws[members]).sum())))
+        # Yaws on both sides of the limits have their mean beyond them.
+        yaw = min(max(yaw, box.lower[2]), box.upper[2])
+        found.append(Cluster(OBJECT, np.array([*centre, yaw]), float(members.sum() / drawn)))
     kept: List[Cluster] = []
     for cluster in sorted(found, key=lambda item: -item.share):
         distances = [np.hypot(*(cluster.centre - other.centre)[:2]) for other in kept]

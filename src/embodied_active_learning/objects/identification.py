@@ -34,8 +34,8 @@ class Decision:
     instance: int  # 1, 2, ... of those found; 0 when not found
     pose: np.ndarray  # (3,) m, m, rad
     sureness: float  # share of the compared views that agree, 0 to 1; 0 when they are too few
-    mismatch: float  # nat, median over the views; infinite without views
-    views: int  # compared views
+    mismatch: float  # nat, median over the views; infinite where none was compared
+    views: int  # of the candidate, from near and usable places
     belief_mean: float
     belief_std: float
     reason: str  # for a person
@@ -115,16 +115,35 @@ class Identification:
         """Decide for every fingerprint, from the beliefs and from the stream's states (N, 3) and images.
 
         A fingerprint is found at each candidate, that is, peak of its belief, whose views agree with it. Where several
-        fingerprints of one model claim the same place, the one that more of the views agree with has it.
+        objects of one model claim the same place, the one that more of the views agree with has it.
         """
         decisions: List[Decision] = []
         for _, group in self._groups:
             candidates = [self._candidates(item, states, images) for item in group]
-            found = [candidate for of_one in candidates for candidate in of_one if candidate.found]
+            winners = self._winners([candidate for of_one in candidates for candidate in of_one])
             for of_one in candidates:
-                kept = [self._contest(candidate, found) for candidate in of_one]
-                decisions += _numbered(kept)
+                decisions += _numbered([_settled(candidate, winners) for candidate in of_one])
         return decisions
+
+    def _winners(self, candidates: Sequence[Decision]) -> List[Tuple[Decision, Decision]]:
+        """Each found candidate with the one that has its place: itself, or a better one close by of the same kind."""
+        by_belief = self._settings.decision == "belief"
+        accepted: List[Decision] = []
+        winners: List[Tuple[Decision, Decision]] = []
+        found = [candidate for candidate in candidates if candidate.found]
+        for candidate in sorted(found, key=lambda item: -(item.belief_mean if by_belief else item.sureness)):
+            rivals = (
+                other
+                for other in accepted
+                if other.kind == candidate.kind
+                and other.fingerprint != candidate.fingerprint
+                and pose_distance(candidate.pose, other.pose)[0] < self._settings.separation
+            )
+            winner = next(rivals, candidate)
+            winners.append((candidate, winner))
+            if winner is candidate:
+                accepted.append(candidate)
+        return winners
 
     def _candidates(self, item: Sought, states: np.ndarray, images: np.ndarray) -> List[Decision]:
         """Every peak of a belief, the highest first, decided on its own."""
@@ -140,9 +159,12 @@ class Identification:
         An object may look much the same from two sides; at the wrong one, views are explained badly, or the camera
         could not have been there.
         """
-        yaws = [peak[2]] if item.fingerprint.kind == BLANK else item.grid.yaws(peak, _YAWS)
+        if item.fingerprint.kind == BLANK:
+            # It looks the same from all sides; its own yaw makes every view usable.
+            pose = np.array([peak[0], peak[1], item.fingerprint.centre[2]])
+            return self._at(item, pose, mean, std, states, images)
         tried: List[Decision] = []
-        for yaw in yaws:
+        for yaw in item.grid.yaws(peak, _YAWS):
             pose = _refined(np.array([peak[0], peak[1], yaw]), item.trace)
             tried.append(self._at(item, pose, mean, std, states, images))
             if tried[-1].found:
@@ -153,9 +175,16 @@ class Identification:
         self, item: Sought, pose: np.ndarray, mean: float, std: float, states: np.ndarray, images: np.ndarray
     ) -> Decision:
         """The decision at a pose (3,), where the belief has a mean and a standard deviation."""
-        comparison = item.verifier.compare(pose, states, images)
-        agreeing = self._agreeing(item, comparison, pose)
-        found, reason = self._judge(agreeing, mean)
+        views = item.verifier.views(pose, states)
+        pointing = self._pointing(item, views, pose)
+        settings = self._settings
+        enough = len(views) >= settings.min_views and pointing.mean() >= settings.min_agreement
+        if enough and settings.decision == "verified":
+            comparison = item.verifier.compare(pose, states, images)
+        else:
+            comparison = Comparison(views, np.full(len(views), np.inf))  # whatever they look like: spare the decoder
+        agreeing = pointing & self._alike(item, comparison)
+        found, reason = self._judge(pointing, agreeing, mean)
         return Decision(
             session=item.session,
             fingerprint=item.fingerprint.name,
@@ -171,43 +200,38 @@ class Identification:
             reason=reason,
         )
 
-    def _agreeing(self, item: Sought, comparison: Comparison, pose: np.ndarray) -> np.ndarray:
-        """Which of the compared views (V,) say that the fingerprint's object is at the candidate pose.
+    def _pointing(self, item: Sought, views: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Which of the views (V,) by themselves place the object at the candidate pose; a blank is in no place."""
+        if item.fingerprint.kind == BLANK or not len(views):
+            return np.ones(len(views), dtype=bool)
+        distance, _ = pose_distance(item.trace.pose[views], pose)
+        return distance <= self._settings.agreement_distance
 
-        Such a view looks like the fingerprint's own, neither worse explained (another object) nor much better (bare
-        table), and by itself points to that place. A blank is in no particular place.
-        """
-        if item.fingerprint.kind == BLANK:
-            return np.abs(comparison.mismatch) <= self._settings.blank_mismatch_limit
-        alike = np.abs(comparison.mismatch) <= self._settings.mismatch_limit
-        distance, _ = pose_distance(item.trace.pose[comparison.views], pose)
-        return alike & (distance <= self._settings.agreement_distance)
+    def _alike(self, item: Sought, comparison: Comparison) -> np.ndarray:
+        """Which of the views (V,) look like the fingerprint's own: neither worse explained nor much better."""
+        blank = item.fingerprint.kind == BLANK
+        limit = self._settings.blank_mismatch_limit if blank else self._settings.mismatch_limit
+        return np.abs(comparison.mismatch) <= limit
 
-    def _judge(self, agreeing: np.ndarray, belief: float) -> Tuple[bool, str]:
-        """Whether the fingerprint is found, from the compared views (V,) and the mean belief; and why, for a person."""
+    def _judge(self, pointing: np.ndarray, agreeing: np.ndarray, belief: float) -> Tuple[bool, str]:
+        """Whether the fingerprint is found, from its views (V,) and the mean belief; and why, for a person."""
         settings, views = self._settings, len(agreeing)
         if settings.decision == "belief":
             found = belief > settings.min_belief
             return found, f"belief {belief:.2f} {'above' if found else 'not above'} {settings.min_belief:g}"
         if views < settings.min_views:
             return False, f"seen from {views} places only, {settings.min_views} are needed"
+        if pointing.mean() < settings.min_agreement:
+            return False, f"{pointing.sum()} of {views} views point here"
         return bool(agreeing.mean() >= settings.min_agreement), f"{agreeing.sum()} of {views} views agree"
 
-    def _contest(self, candidate: Decision, found: Sequence[Decision]) -> Decision:
-        """The candidate, or why another fingerprint of the same model has its place."""
-        if not candidate.found:
-            return candidate
-        rivals = [
-            other
-            for other in found
-            if other.kind == candidate.kind
-            and (other is candidate or other.fingerprint != candidate.fingerprint)
-            and pose_distance(candidate.pose, other.pose)[0] < self._settings.separation
-        ]
-        best = max(rivals, key=lambda rival: rival.sureness)  # the first of equals
-        if best is candidate:
-            return candidate
-        return replace(candidate, found=False, reason=f"{best.fingerprint} fits better there")
+
+def _settled(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]]) -> Decision:
+    """The candidate, or why another fingerprint of the same model has its place."""
+    for other, winner in winners:
+        if other is candidate and winner is not candidate:
+            return replace(candidate, found=False, reason=f"{winner.fingerprint} fits better there")
+    return candidate
 
 
 def _refined(peak: np.ndarray, trace: Matches, distance: float = 0.02, turn: float = 0.5) -> np.ndarray:

@@ -52,8 +52,8 @@ class Verifier:
         own = fingerprint.states, fingerprint.states, fingerprint.images, fingerprint.centre
         self._own = float(np.median(self._errors(*own, itself=True)))
 
-    def compare(self, candidate: np.ndarray, states: np.ndarray, images: np.ndarray) -> Comparison:
-        """Compare the images (N, H, W, 3) from states (N, 3) that show a candidate pose (3,) [m, m, rad].
+    def views(self, candidate: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """Which of the images from states (N, 3) show a candidate pose (3,) [m, m, rad]: their indices (V,).
 
         Those are seen from next to it, and from where the camera could also stand over the fingerprint's object; the
         nearest ones, if there are more than settings.views.
@@ -61,10 +61,15 @@ class Verifier:
         distance, _ = pose_distance(states, candidate)
         stored = move(states, candidate, self._fingerprint.centre)
         usable = np.flatnonzero((distance < self._settings.view_distance) & self._workspace.contains(stored))
-        views = usable[np.argsort(distance[usable], kind="stable")[: self._settings.views]]
+        return usable[np.argsort(distance[usable], kind="stable")[: self._settings.views]]
+
+    def compare(self, candidate: np.ndarray, states: np.ndarray, images: np.ndarray) -> Comparison:
+        """Compare those of the images (N, H, W, 3) from states (N, 3) that show a candidate pose (3,) [m, m, rad]."""
+        views = self.views(candidate, states)
         if not len(views):
             return Comparison(views, np.empty(0))
-        errors = self._errors(stored[views], states[views], images[views], candidate)
+        stored = move(states[views], candidate, self._fingerprint.centre)
+        errors = self._errors(stored, states[views], images[views], candidate)
         return Comparison(views, errors - self._own)
 
     def _errors(

@@ -24,6 +24,7 @@ TARGET_DISTRIBUTION = "target_distribution"
 
 FINGERPRINT = "fingerprint"
 FINGERPRINTS = "fingerprints"
+FINGERPRINTING = "fingerprinting"
 FINGERPRINT_MARKERS = "fingerprint_markers"
 
 IDENTIFY = "identify"

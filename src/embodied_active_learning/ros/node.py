@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from typing import Callable
+from typing import Any, Callable
 
 import rospy
 
@@ -62,6 +62,15 @@ def pause(seconds: float) -> None:
     """Let wall time pass. Raises ShutdownRequestedError when the node ends meanwhile."""
     ends_at = time.monotonic() + seconds
     wait_until(lambda: time.monotonic() >= ends_at, lambda: f"the next try, every {seconds:g} s")
+
+
+def try_to_draw(draw: Callable[..., Any], *arguments: Any) -> Any:
+    """What a drawing function returns; None, and a warning, when it fails: the results it shows are stored already."""
+    try:
+        return draw(*arguments)
+    except Exception as error:
+        rospy.logwarn("the results are stored, but could not be drawn: %r", error)
+        return None
 
 
 class Ticker:

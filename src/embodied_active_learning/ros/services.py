@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator
+from typing import Any, Callable, Iterator, Optional
 
 import rospy
 from rospy.exceptions import TransportException
+from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros.node import REPEAT_AFTER, ShutdownRequestedError
@@ -57,6 +58,26 @@ class PatientService:
         if self._proxy is not None:
             self._proxy.close()
             self._proxy = None
+
+
+def is_offered(name: str) -> bool:
+    """Whether a node offers a service of that name, as far as the master knows."""
+    code, _, _ = rospy.get_master().lookupService(rospy.resolve_name(name))
+    return code == 1
+
+
+def trigger_if_offered(name: str) -> Optional[TriggerResponse]:
+    """Call a std_srvs/Trigger service -> its answer, or None when nobody offers it.
+
+    Raises EmbodiedActiveLearningError when the one who offers it does not answer.
+    """
+    if not is_offered(name):
+        return None
+    try:
+        with saying_who_is_awaited(rospy.resolve_name(name)):
+            return rospy.ServiceProxy(name, Trigger)()
+    except TRANSPORT_ERRORS as error:
+        raise EmbodiedActiveLearningError(f"{rospy.resolve_name(name)} did not answer: {error}") from error
 
 
 @contextmanager

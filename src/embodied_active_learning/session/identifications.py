@@ -55,7 +55,8 @@ def save_identification(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(folder)
-        (folder / DECISIONS_FILE).unlink(missing_ok=True)
+        for stale in (folder / DECISIONS_FILE, *folder.glob("*.png")):
+            stale.unlink(missing_ok=True)
     except OSError as error:
         raise SessionError(
             f"{folder} cannot be written ({error.strerror}): free some space, or mend its rights"

@@ -12,7 +12,7 @@ Location = Tuple[str, float, float]  # kind of object, x [m], y [m]
 
 
 def true_objects(config: Config) -> List[Location]:
-    """The objects of the configured world; none where there is no such world, as on a real robot."""
+    """The objects of the configured world; none where there is no such world."""
     try:
         world = load_world(config.simulation.world, config.workspace.box())
     except WorldError:
