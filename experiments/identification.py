@@ -231,7 +231,7 @@ def peaks(item: Sought, settings: IdentificationConfig) -> List[Decision]:
     """The peaks of a belief as claims, the highest first."""
     own = item.session, item.fingerprint.name, item.fingerprint.kind
     found = item.grid.peaks(settings.separation, settings.candidates)
-    return [Decision(*own, True, 0, pose, 0.0, 0.0, 0, mean, std, "") for pose, mean, std in found]
+    return [Decision(*own, True, 0, peak.pose, 0.0, 0.0, 0, peak.mean, peak.std, "") for peak in found]
 
 
 def ranked(item: Sought, settings: IdentificationConfig, instances: int) -> List[Decision]:

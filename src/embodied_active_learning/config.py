@@ -270,7 +270,14 @@ class IdentificationConfig:
     agreement_distance: float = setting(
         0.02, "farthest from the candidate that a view that agrees may point to", "m", 0.001, 0.5
     )
-    min_agreement: float = setting(0.45, "share of the compared views that must agree", "", 0.0, 1.0)
+    min_agreement: float = setting(0.55, "share of the compared views that must agree", "", 0.0, 1.0)
+    min_rise: float = setting(
+        0.01,
+        "how far the belief at an object must rise above the median of its grid: over bare table it hardly does",
+        "",
+        0.0,
+        1.0,
+    )
     object_radius: float = setting(0.045, "part of the table around a candidate that is compared", "m", 0.005, 0.5)
     view_distance: float = setting(0.04, "farthest that a view of a candidate is from it", "m", 0.005, 0.5)
     views: int = setting(30, "views of a candidate that are compared, at most", "", 1, 1000)

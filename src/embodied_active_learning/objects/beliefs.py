@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import List, Tuple
+from typing import List, NamedTuple, Tuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -14,6 +14,15 @@ from embodied_active_learning.workspace import Workspace
 
 _PRIOR_MEAN = 0.5
 _PRIOR_VARIANCE = 2.0
+
+
+class Peak(NamedTuple):
+    """A local maximum of a belief."""
+
+    pose: np.ndarray  # (3,) m, m, rad
+    mean: float
+    std: float
+    rise: float  # of the mean above the median of all places, each at its best yaw
 
 
 class BeliefGrid:
@@ -51,7 +60,7 @@ class BeliefGrid:
 
         The variance rises from near_variance at the pose to that over far_pull where the footprint K ends:
         r = far + K (near - far). The authors let K reach 1 at the border cell next to a pose outside of the grid; here
-        such a measurement is a far one for every cell.
+        the footprint only reaches in as far as it does.
         """
         settings = self._settings
         ratio = 1.0 / settings.far_pull
@@ -75,11 +84,8 @@ class BeliefGrid:
         best = mean.argmax(axis=2)[..., None]
         return np.take_along_axis(mean, best, 2)[..., 0], np.take_along_axis(self.std, best, 2)[..., 0]
 
-    def peaks(self, distance: float, most: int) -> List[Tuple[np.ndarray, float, float]]:
-        """Local maxima inside the workspace, the highest first: pose (3,) [m, m, rad], mean and standard deviation.
-
-        No two are closer than a distance [m].
-        """
+    def peaks(self, distance: float, most: int) -> List[Peak]:
+        """Local maxima inside the workspace, the highest first. No two are closer than a distance [m]."""
         mean = self.mean
         inside = self._workspace.contains(
             np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), 0.0 * mean[..., 0]], -1)
@@ -88,14 +94,15 @@ class BeliefGrid:
         spacing = (self.x[1] - self.x[0], self.y[1] - self.y[0])
         size = [2 * max(1, int(0.5 * distance / step)) + 1 for step in spacing]
         rows, columns = np.nonzero((maximum_filter(highest, size) == highest) & inside)
-        found: List[Tuple[np.ndarray, float, float]] = []
+        median = float(np.median(mean.max(axis=2)))
+        found: List[Peak] = []
         for index in np.argsort(-highest[rows, columns], kind="stable"):
             row, column = rows[index], columns[index]
             yaw = int(mean[row, column].argmax())
             pose = np.array([self.x[row], self.y[column], self.yaw[yaw]])
-            if all(np.hypot(*(pose - other)[:2]) >= distance for other, _, _ in found):
-                std = 1.0 / math.sqrt(self._information[row, column, yaw])
-                found.append((pose, float(highest[row, column]), std))
+            if all(np.hypot(*(pose - other.pose)[:2]) >= distance for other in found):
+                top, std = float(highest[row, column]), 1.0 / math.sqrt(self._information[row, column, yaw])
+                found.append(Peak(pose, top, std, top - median))
             if len(found) == most:
                 break
         return found

@@ -11,7 +11,7 @@ from embodied_active_learning.config import CameraConfig, IdentificationConfig
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.model.learned import LearnedModel
-from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
+from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights, Peak
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matcher, Matches
 from embodied_active_learning.objects.verification import Comparison, Verifier
@@ -147,44 +147,40 @@ class Identification:
 
     def _candidates(self, item: Sought, states: np.ndarray, images: np.ndarray) -> List[Decision]:
         """Every peak of a belief, the highest first, decided on its own."""
-        settings = self._settings
-        peaks = item.grid.peaks(settings.separation, settings.candidates)
-        return [self._candidate(item, *peak, states, images) for peak in peaks]
+        peaks = item.grid.peaks(self._settings.separation, self._settings.candidates)
+        return [self._candidate(item, peak, states, images) for peak in peaks]
 
-    def _candidate(
-        self, item: Sought, peak: np.ndarray, mean: float, std: float, states: np.ndarray, images: np.ndarray
-    ) -> Decision:
-        """The decision at a peak (3,), at the yaw that more of the views agree with.
+    def _candidate(self, item: Sought, peak: Peak, states: np.ndarray, images: np.ndarray) -> Decision:
+        """The decision at a peak, at the most believed yaw that the views agree with.
 
         An object may look much the same from two sides; at the wrong one, views are explained badly, or the camera
         could not have been there.
         """
         if item.fingerprint.kind == BLANK:
             # It looks the same from all sides; its own yaw makes every view usable.
-            pose = np.array([peak[0], peak[1], item.fingerprint.centre[2]])
-            return self._at(item, pose, mean, std, states, images)
+            pose = np.array([*peak.pose[:2], item.fingerprint.centre[2]])
+            return self._at(item, peak, pose, states, images)
         tried: List[Decision] = []
-        for yaw in item.grid.yaws(peak, _YAWS):
-            pose = _refined(np.array([peak[0], peak[1], yaw]), item.trace)
-            tried.append(self._at(item, pose, mean, std, states, images))
+        for yaw in item.grid.yaws(peak.pose, _YAWS):
+            pose = _refined(np.array([*peak.pose[:2], yaw]), item.trace)
+            tried.append(self._at(item, peak, pose, states, images))
             if tried[-1].found:
                 break
         return max(tried, key=lambda decision: (decision.found, decision.sureness))
 
-    def _at(
-        self, item: Sought, pose: np.ndarray, mean: float, std: float, states: np.ndarray, images: np.ndarray
-    ) -> Decision:
-        """The decision at a pose (3,), where the belief has a mean and a standard deviation."""
+    def _at(self, item: Sought, peak: Peak, pose: np.ndarray, states: np.ndarray, images: np.ndarray) -> Decision:
+        """The decision at a pose (3,) next to a peak."""
+        settings = self._settings
         views = item.verifier.views(pose, states)
         pointing = self._pointing(item, views, pose)
-        settings = self._settings
+        rises = item.fingerprint.kind == BLANK or peak.rise >= settings.min_rise
         enough = len(views) >= settings.min_views and pointing.mean() >= settings.min_agreement
-        if enough and settings.decision == "verified":
+        if settings.decision == "verified" and rises and enough:
             comparison = item.verifier.compare(pose, states, images)
         else:
             comparison = Comparison(views, np.full(len(views), np.inf))  # whatever they look like: spare the decoder
         agreeing = pointing & self._alike(item, comparison)
-        found, reason = self._judge(pointing, agreeing, mean)
+        found, reason = self._judge(peak, rises, pointing, agreeing)
         return Decision(
             session=item.session,
             fingerprint=item.fingerprint.name,
@@ -192,11 +188,11 @@ class Identification:
             found=found,
             instance=0,
             pose=pose,
-            sureness=float(agreeing.mean()) if len(agreeing) >= self._settings.min_views else 0.0,
+            sureness=float(agreeing.mean()) if len(agreeing) >= settings.min_views else 0.0,
             mismatch=comparison.typical,
             views=len(agreeing),
-            belief_mean=mean,
-            belief_std=std,
+            belief_mean=peak.mean,
+            belief_std=peak.std,
             reason=reason,
         )
 
@@ -213,14 +209,16 @@ class Identification:
         limit = self._settings.blank_mismatch_limit if blank else self._settings.mismatch_limit
         return np.abs(comparison.mismatch) <= limit
 
-    def _judge(self, pointing: np.ndarray, agreeing: np.ndarray, belief: float) -> Tuple[bool, str]:
-        """Whether the fingerprint is found, from its views (V,) and the mean belief; and why, for a person."""
+    def _judge(self, peak: Peak, rises: bool, pointing: np.ndarray, agreeing: np.ndarray) -> Tuple[bool, str]:
+        """Whether the fingerprint is found, from the belief and its views (V,); and why, for a person."""
         settings, views = self._settings, len(agreeing)
         if settings.decision == "belief":
-            found = belief > settings.min_belief
-            return found, f"belief {belief:.2f} {'above' if found else 'not above'} {settings.min_belief:g}"
+            found = peak.mean > settings.min_belief
+            return found, f"belief {peak.mean:.2f} {'above' if found else 'not above'} {settings.min_belief:g}"
         if views < settings.min_views:
             return False, f"seen from {views} places only, {settings.min_views} are needed"
+        if not rises:
+            return False, f"belief {peak.rise:.3f} above its median only, {settings.min_rise:g} are needed"
         if pointing.mean() < settings.min_agreement:
             return False, f"{pointing.sum()} of {views} views point here"
         return bool(agreeing.mean() >= settings.min_agreement), f"{agreeing.sum()} of {views} views agree"
