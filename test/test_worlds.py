@@ -174,7 +174,7 @@ def test_the_shipped_models_are_what_their_script_makes(monkeypatch, tmp_path):
     monkeypatch.setattr(script, "FOLDER", tmp_path)
     script.main()
     made = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
-    assert len(made) == 9
+    assert len(made) == 10
     for path in made:
         _assert_same_file(tmp_path / path, shipped / path)
 
