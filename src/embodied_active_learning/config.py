@@ -258,14 +258,7 @@ class IdentificationConfig:
     separation: float = setting(0.06, "closest that two objects are taken to lie", "m", 0.005, 1.0)
     min_belief: float = setting(0.5, "mean belief that the decision 'belief' asks for", "", 0.0, 1.0)
     mismatch_limit: float = setting(
-        0.5, "largest mismatch, either way, of a view that agrees with the fingerprint", "nat", 0.0, 10.0
-    )
-    blank_mismatch_limit: float = setting(
-        1.0,
-        "the same for a blank: it is the place that was easiest to predict of all, so others are explained less well",
-        "nat",
-        0.0,
-        10.0,
+        0.065, "largest mismatch, either way, of a view that agrees with the fingerprint; 1 is white", "", 0.0, 1.0
     )
     agreement_distance: float = setting(
         0.02, "farthest from the candidate that a view that agrees may point to", "m", 0.001, 0.5

@@ -34,7 +34,7 @@ class Decision:
     instance: int  # 1, 2, ... of those found; 0 when not found
     pose: np.ndarray  # (3,) m, m, rad
     sureness: float  # share of the compared views that agree, 0 to 1; 0 when they are too few
-    mismatch: float  # nat, median over the views; infinite where none was compared
+    mismatch: float  # grey levels of 1, median over the views; infinite where none was compared
     views: int  # of the candidate, from near and usable places
     belief_mean: float
     belief_std: float
@@ -179,7 +179,7 @@ class Identification:
             comparison = item.verifier.compare(pose, states, images)
         else:
             comparison = Comparison(views, np.full(len(views), np.inf))  # whatever they look like: spare the decoder
-        agreeing = pointing & self._alike(item, comparison)
+        agreeing = pointing & self._alike(comparison)
         found, reason = self._judge(peak, rises, pointing, agreeing)
         return Decision(
             session=item.session,
@@ -203,11 +203,9 @@ class Identification:
         distance, _ = pose_distance(item.trace.pose[views], pose)
         return distance <= self._settings.agreement_distance
 
-    def _alike(self, item: Sought, comparison: Comparison) -> np.ndarray:
+    def _alike(self, comparison: Comparison) -> np.ndarray:
         """Which of the views (V,) look like the fingerprint's own: neither worse explained nor much better."""
-        blank = item.fingerprint.kind == BLANK
-        limit = self._settings.blank_mismatch_limit if blank else self._settings.mismatch_limit
-        return np.abs(comparison.mismatch) <= limit
+        return np.abs(comparison.mismatch) <= self._settings.mismatch_limit
 
     def _judge(self, peak: Peak, rises: bool, pointing: np.ndarray, agreeing: np.ndarray) -> Tuple[bool, str]:
         """Whether the fingerprint is found, from the belief and its views (V,); and why, for a person."""

@@ -19,8 +19,6 @@ from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 
 _NEAR = (0.015, 0.4)
 """Distance [m] and turn [rad] that count alike when the stored view next to a pose is sought."""
-_LEAST = 1e-4
-"""Least error of a grey level in [0, 1]: keeps the logarithm finite."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +26,7 @@ class Comparison:
     """How V views of a candidate compare with the fingerprint."""
 
     views: np.ndarray  # (V,) indices of the images
-    mismatch: np.ndarray  # (V,) nat: ln of how much worse they are explained than the fingerprint's own views
+    mismatch: np.ndarray  # (V,) grey levels of 1: how much worse they are explained than the fingerprint's own views
 
     @property
     def typical(self) -> float:
@@ -75,19 +73,19 @@ class Verifier:
     def _errors(
         self, stored: np.ndarray, states: np.ndarray, images: np.ndarray, centre: np.ndarray, itself: bool = False
     ) -> np.ndarray:
-        """(V,) how badly each image is explained, nat.
+        """(V,) how badly each image is explained, grey levels of 1.
 
         stored: (V, 3) where the camera would be over the fingerprint's object; states: (V, 3) where it is over the
         candidate, whose centre is given. itself: the images are the fingerprint's own.
         """
         on_object = self._on_object(states, centre)
         if self._by_pixels:
-            return np.log(_rms(images / 255.0 - self._nearest_views(stored, itself), on_object) + _LEAST)
+            return _rms(images / 255.0 - self._nearest_views(stored, itself), on_object)
         latents, _ = self._model.encode(stored, images)
         predicted, std = self._model.decode(latents, stored)
-        error = np.log(_rms(images / 255.0 - predicted, on_object) + _LEAST)
+        error = _rms(images / 255.0 - predicted, on_object)
         # The predicted standard deviation is that of the whole image, and around a blank place there may be anything.
-        return error if self._fingerprint.kind == BLANK else error + np.log(std)
+        return error if self._fingerprint.kind == BLANK else error + std
 
     def _nearest_views(self, stored: np.ndarray, itself: bool) -> np.ndarray:
         """The fingerprint's images (V, H, W, 3) in [0, 1] from next to each pose; never the same view as itself."""
