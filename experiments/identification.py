@@ -21,13 +21,14 @@ import torch
 from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.exploration_run import ExplorationRun
 from embodied_active_learning.fingerprint_run import FingerprintRun
+from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
 from embodied_active_learning.objects.identification import Decision, Identification, Sought
-from embodied_active_learning.objects.report import SAME_PLACE, Location, nearest, score, true_kinds
+from embodied_active_learning.objects.report import SAME_PLACE, nearest, score
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.simulation import Simulation
-from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.simulation.truth import fingerprint_kinds, true_objects
 from embodied_active_learning.simulation.world import Disturbances, World, load_world
 
 WORLDS = ("star_plant_duck", "plants_ducks", "stars_ducks", "stars_plants")
@@ -179,20 +180,17 @@ def evaluate(
     identification = Identification(sets, box, config.camera, settings)
     identification.observe(states, images)
     verified = identification.decide(states, images)
-    for found in sets:
-        kinds = {(found.session, name): kind for name, kind in true_kinds(found, true_objects(found.config)).items()}
-        sought = [item for item in identification.sought if item.session == found.session]
-        for item in sought:
-            key = (item.session, item.fingerprint.name)
-            one = {key: kinds[key]}
-            instances = sum(kind == kinds[key] for kind, _, _ in objects)
-            rules = {
-                "ranked": ranked(item, settings, instances),
-                "belief > 0.5": [d for d in peaks(item, settings) if d.belief_mean > 0.5],
-                "verified": verified,
-            }
-            for rule, decisions in rules.items():
-                yield outcome(condition, features, rule, world, decisions, one, objects)
+    kinds = fingerprint_kinds(sets)
+    for item in identification.sought:
+        key = (item.session, item.fingerprint.name)
+        instances = sum(kind == kinds[key] for kind, _, _ in objects)
+        rules = {
+            "ranked": ranked(item, settings, instances),
+            "belief > 0.5": [d for d in peaks(item, settings) if d.belief_mean > 0.5],
+            "verified": verified,
+        }
+        for rule, decisions in rules.items():
+            yield outcome(condition, features, rule, world, decisions, {key: kinds[key]}, objects)
 
 
 def outcome(

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import List
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
-from embodied_active_learning.objects.report import decision_table, score, true_kinds
+from embodied_active_learning.objects.report import decision_table, score
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
-from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.simulation.truth import fingerprint_kinds, true_objects
 
 
 def main(part: str, path: Path, names: List[str]) -> int:
@@ -44,10 +44,8 @@ def identified(path: Path, name: str) -> str:
     """Whether decisions are stored -> them beside the truth."""
     result = load_identification(path, name)
     objects = true_objects(Session.open_read_only(path).config)
-    kinds = {}
-    for session in dict.fromkeys(decision.session for decision in result.decisions):
-        found = load_fingerprints(path.parent / session)
-        kinds.update({(session, key): kind for key, kind in true_kinds(found, true_objects(found.config)).items()})
+    sessions = dict.fromkeys(decision.session for decision in result.decisions)
+    kinds = fingerprint_kinds([load_fingerprints(path.parent / session) for session in sessions])
     hits, instances, _, false = score(result.decisions, kinds, objects)
     return (
         f"\n{decision_table(result.decisions, kinds, objects)}\n\n"

@@ -9,6 +9,9 @@ import numpy as np
 
 from embodied_active_learning.config import CameraConfig
 
+Location = Tuple[str, float, float]
+"""Name or kind of an object, x [m], y [m]: where it really stands."""
+
 
 def wrap(angles: np.ndarray) -> np.ndarray:
     """Angles in [-pi, pi), rad."""

@@ -17,7 +17,6 @@ from embodied_active_learning.figures.style import GREY, MEDIUM, SMALL, new_figu
 from embodied_active_learning.figures.views import (
     FOUND,
     Extent,
-    Location,
     draw_image,
     draw_limits,
     draw_map,
@@ -28,6 +27,7 @@ from embodied_active_learning.figures.views import (
     mark_objects,
     show_extent,
 )
+from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.identification import Decision
 from embodied_active_learning.workspace import Workspace
 

@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from embodied_active_learning.figures.mosaic import top_view
 from embodied_active_learning.figures.style import MEDIUM, SMALL, colour, new_figure, save, spread
 from embodied_active_learning.figures.views import (
-    Location,
     draw_map,
     draw_top_view,
     extent_of,
     mark_objects,
     show_workspace,
 )
+from embodied_active_learning.geometry import Location
 from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.session.session import Session

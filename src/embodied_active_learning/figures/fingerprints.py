@@ -23,7 +23,6 @@ from embodied_active_learning.figures.style import (
 )
 from embodied_active_learning.figures.views import (
     Extent,
-    Location,
     draw_image,
     draw_limits,
     mark_objects,
@@ -31,6 +30,7 @@ from embodied_active_learning.figures.views import (
     show_extent,
     show_workspace,
 )
+from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
 from embodied_active_learning.workspace import Workspace
 

@@ -8,7 +8,7 @@ from typing import List, Sequence
 from embodied_active_learning.figures.beliefs import BeliefPanel, draw_beliefs
 from embodied_active_learning.figures.mosaic import top_view
 from embodied_active_learning.figures.trace import draw_trace
-from embodied_active_learning.figures.views import Location
+from embodied_active_learning.geometry import Location
 from embodied_active_learning.identification_run import IdentificationRun
 from embodied_active_learning.objects.identification import Decision, Sought
 
@@ -30,7 +30,7 @@ def draw_identification(
     for item in run.identification.sought[:MOST_TRACES]:
         name = f"{item.session}/{item.fingerprint.name}"
         path = run.folder / f"trace-{item.session}-{item.fingerprint.name}.png"
-        own = _own(item, decisions)
+        own = item.own(decisions)
         trace = item.trace
         paths.append(
             draw_trace(path, name, trace, run.states, run.pictures, item.fingerprint, item.threshold, own, objects)
@@ -47,9 +47,5 @@ def _panel(item: Sought, decisions: Sequence[Decision]) -> BeliefPanel:
         item.grid.y,
         mean,
         std,
-        _own(item, decisions),
+        item.own(decisions),
     )
-
-
-def _own(item: Sought, decisions: Sequence[Decision]) -> List[Decision]:
-    return [found for found in decisions if (found.session, found.fingerprint) == (item.session, item.fingerprint.name)]

@@ -9,7 +9,7 @@ from typing import List, Sequence
 from embodied_active_learning.figures.entropy_map import draw_entropy
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
 from embodied_active_learning.figures.reconstructions import draw_reconstructions
-from embodied_active_learning.figures.views import Location
+from embodied_active_learning.geometry import Location
 from embodied_active_learning.session.learned import load_trained
 from embodied_active_learning.session.session import Session
 

@@ -29,14 +29,13 @@ from embodied_active_learning.figures.style import (
 from embodied_active_learning.figures.views import (
     FOUND,
     Extent,
-    Location,
     draw_image,
     explain_marks,
     mark_decisions,
     mark_objects,
     show_extent,
 )
-from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.geometry import Location, pose_distance
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 from embodied_active_learning.objects.identification import Decision
 from embodied_active_learning.objects.matching import Matches

@@ -110,7 +110,7 @@ class BeliefGrid:
     def yaws(self, pose: np.ndarray, most: int) -> List[float]:
         """Local maxima of the mean over yaw [rad] in the cell of a pose (3,), the highest first."""
         row, column = np.abs(self.x - pose[0]).argmin(), np.abs(self.y - pose[1]).argmin()
-        mean = self.mean[row, column]
+        mean = self._weighted[row, column] / self._information[row, column]
         top = np.flatnonzero((mean >= np.roll(mean, 1)) & (mean > np.roll(mean, -1)))
         return [float(self.yaw[index]) for index in top[np.argsort(-mean[top], kind="stable")][:most]] or [pose[2]]
 

@@ -60,8 +60,16 @@ class Sought:
         """What each image so far has said about it."""
         if not self._parts:
             return Matches(np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.float32), np.empty((0, 3)))
-        names = ("view", "distance", "value", "pose")
-        return Matches(*(np.concatenate([getattr(part, name) for part in self._parts]) for name in names))
+        if len(self._parts) > 1:
+            names = ("view", "distance", "value", "pose")
+            joined = Matches(*(np.concatenate([getattr(part, name) for part in self._parts]) for name in names))
+            self._parts = [joined]
+        return self._parts[0]
+
+    def own(self, decisions: Sequence[Decision]) -> List[Decision]:
+        """Those of the decisions that are about this fingerprint."""
+        key = self.session, self.fingerprint.name
+        return [decision for decision in decisions if (decision.session, decision.fingerprint) == key]
 
     def observe(self, matches: Matches, weights: np.ndarray) -> None:
         """Take what N images say, with the weight (N,) of each."""

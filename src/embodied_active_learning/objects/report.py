@@ -7,10 +7,9 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
 from embodied_active_learning.objects.identification import Decision
-
-Location = Tuple[str, float, float]  # kind of object, x [m], y [m]
 
 SAME_PLACE = 0.03
 """Distance [m] within which a decision or a fingerprint's centre is on an object."""

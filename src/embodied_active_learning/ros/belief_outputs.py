@@ -59,7 +59,6 @@ def belief_message(item: Sought, decisions: Sequence[Decision]) -> Belief:
     """The belief about one fingerprint, and what was decided about it."""
     grid = item.grid
     axes = (grid.x, grid.y, grid.yaw)
-    own = [decision for decision in decisions if is_about(decision, item)]
     return Belief(
         item.session,
         item.fingerprint.name,
@@ -68,13 +67,8 @@ def belief_message(item: Sought, decisions: Sequence[Decision]) -> Belief:
         [float(axis[1] - axis[0]) for axis in axes],
         grid.mean.astype(np.float32).ravel(),
         grid.std.astype(np.float32).ravel(),
-        [decision_message(decision) for decision in own],
+        [decision_message(decision) for decision in item.own(decisions)],
     )
-
-
-def is_about(decision: Decision, item: Sought) -> bool:
-    """Whether a decision is about that fingerprint."""
-    return (decision.session, decision.fingerprint) == (item.session, item.fingerprint.name)
 
 
 def decision_message(decision: Decision) -> DecisionMessage:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import List, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.geometry import Location
+from embodied_active_learning.objects.fingerprint import FingerprintSet
+from embodied_active_learning.objects.report import true_kinds
 from embodied_active_learning.simulation.world import load_world
-
-Location = Tuple[str, float, float]  # kind of object, x [m], y [m]
 
 
 def true_objects(config: Config) -> List[Location]:
@@ -18,3 +19,12 @@ def true_objects(config: Config) -> List[Location]:
     except WorldError:
         return []
     return [(item.kind, float(item.position[0]), float(item.position[1])) for item in world.objects]
+
+
+def fingerprint_kinds(sets: Sequence[FingerprintSet]) -> Dict[Tuple[str, str], str]:
+    """What each (session, fingerprint) is really of, by the worlds that the sessions have learned: see true_kinds."""
+    return {
+        (found.session, name): kind
+        for found in sets
+        for name, kind in true_kinds(found, true_objects(found.config)).items()
+    }
