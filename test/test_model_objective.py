@@ -5,6 +5,8 @@ import math
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.block_images import BlockImages
@@ -105,6 +107,39 @@ def compare_in_single_precision(images, network, pair, noise):
 def test_the_compiled_loss_has_the_plain_gradients_at_any_geometry_and_batch_size(image_size, config):
     network, pair, noise = make(image_size, config, 11)
     compare_in_single_precision(NativeImages(network, Kernels(LIBRARY)), network, pair, noise)
+
+
+@needs_compiler
+def test_the_compiled_loss_has_the_plain_gradients_where_layers_are_large_enough_for_the_compiled_product():
+    network, pair, noise = make((61, 58), ModelConfig(channels=(6, 8), kernels=(3, 3), strides=(2, 2)), 70)
+    images = NativeImages(network, Kernels(LIBRARY))
+    assert min(70, network.feature_size) >= images.kernels.panel
+    compare_in_single_precision(images, network, pair, noise)
+
+
+@needs_compiler
+@given(
+    rows=st.integers(1, 20),
+    depth=st.integers(1, 1100),
+    excess=st.integers(0, 70),
+    turned=st.booleans(),
+    margin=st.integers(0, 3),
+)
+def test_the_compiled_product_is_the_product_of_matrices_of_any_size_and_leaves_the_rest_alone(
+    rows, depth, excess, turned, margin
+):
+    kernels = Kernels(LIBRARY)
+    columns = kernels.panel + excess
+    random = torch.Generator().manual_seed(rows * depth + columns)
+    left = torch.randn(depth, rows, generator=random).t() if turned else torch.randn(rows, depth, generator=random)
+    right = torch.randn(depth, columns + margin, generator=random)[:, margin:]
+    whole = torch.full((rows, columns + 2 * margin), 7.0)
+    out = whole[:, margin : margin + columns]
+    kernels.multiply(left, right, out)
+    expected = left.double() @ right.double()
+    assert torch.allclose(out.double(), expected, rtol=1e-5, atol=1e-5 * math.sqrt(depth))
+    assert torch.all(whole[:, :margin] == 7.0)
+    assert torch.all(whole[:, margin + columns :] == 7.0)
 
 
 @needs_compiler

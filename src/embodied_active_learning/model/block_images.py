@@ -43,6 +43,11 @@ class BlockImages:
         features = features.unflatten(1, network.feature_shape)
         return _WeightedErrors.apply(self._decoder, images, features, weights, *parameters)
 
+    @staticmethod
+    def linear(layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
+        """layer(inputs), inputs (B, I) -> (B, O)."""
+        return layer(inputs)
+
 
 class _WeightedErrors(torch.autograd.Function):
     """sum_i w_i e_i, whose gradients are computed along with it, chunk by chunk, and kept until they are asked for."""

@@ -15,20 +15,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import List, Optional, Tuple
 
+from embodied_active_learning.model.kernels import signatures
+
 SOURCE = Path(__file__).with_name("kernels.c")
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-shared", "-fPIC")
 BUILD_SECONDS = 120
-
-_POINTER, _INT = ctypes.c_void_p, ctypes.c_int
-_CONVOLUTION = [_POINTER, _INT, _INT, _INT, _POINTER, _INT, _INT, _INT, _INT, _INT, _POINTER, _POINTER, _INT, _POINTER]
-_SIGNATURES = {
-    "strided": _CONVOLUTION,
-    "transposed": _CONVOLUTION,
-    "correlate": [_POINTER, _INT, _INT, _INT, _POINTER, _INT, _INT, _INT, _INT, _INT, _POINTER, _POINTER],
-    "channel_sums": [_POINTER, _INT, _INT, _INT, _POINTER],
-    "pack": [_POINTER, _INT, _INT, _INT, _INT, _POINTER, _POINTER],
-    "reconstruct": [_POINTER, *[_INT] * 3, _POINTER, *[_INT] * 5, *[_POINTER] * 5, _INT, *[_POINTER] * 7],
-}
 
 
 def load_library() -> Tuple[Optional[ctypes.CDLL], str]:
@@ -85,9 +76,9 @@ def _load_from(path: Path, command: List[str]) -> ctypes.CDLL:
 
 def _open(path: Path) -> ctypes.CDLL:
     library = ctypes.CDLL(str(path))
-    for name, signature in _SIGNATURES.items():
-        getattr(library, name).argtypes = signature
-        getattr(library, name).restype = None
+    for name, (result, arguments) in signatures().items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
     return library
 
 

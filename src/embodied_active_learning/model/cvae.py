@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import List, NamedTuple, Tuple
+from typing import Callable, List, NamedTuple, Tuple
 
 import torch
 from torch import nn
@@ -16,6 +16,7 @@ IMAGE_CHANNELS = 3
 LOG_LIMITS = (-10.0, 2.0)
 
 Size = Tuple[int, int]
+Linear = Callable[[nn.Linear, torch.Tensor], torch.Tensor]
 
 
 class LatentGaussian(NamedTuple):
@@ -78,10 +79,15 @@ class ConditionalVAE(nn.Module):
         """The part of the encoder that sees the image alone. images: (B, H, W, 3) uint8 -> (B, F)."""
         return self.image_encoder(float_images(images, self.encoder[0].weight.dtype)).flatten(1)
 
-    def encode_features(self, states: torch.Tensor, features: torch.Tensor) -> LatentGaussian:
-        """q(z | x, y) from image features (B, F), or (1, F) shared by all states (B, D) -> (B, L) each."""
-        first = _first_layer(self.encoder[0], features, states)
-        mean, log_variance = self.encoder[1:](first).chunk(2, dim=1)
+    def encode_features(
+        self, states: torch.Tensor, features: torch.Tensor, linear: Linear = nn.Linear.__call__
+    ) -> LatentGaussian:
+        """q(z | x, y) from image features (B, F), or (1, F) shared by all states (B, D) -> (B, L) each.
+
+        linear: how a layer is applied to its inputs.
+        """
+        first = _first_layer(self.encoder[0], features, states, linear)
+        mean, log_variance = _run(self.encoder[1:], first, linear).chunk(2, dim=1)
         return LatentGaussian(mean, log_variance.clamp(*LOG_LIMITS))
 
     def decode(self, latents: torch.Tensor, states: torch.Tensor) -> Tuple[torch.Tensor, torch.Tensor]:
@@ -98,9 +104,14 @@ class ConditionalVAE(nn.Module):
         with torch.no_grad():
             self.image_decoder[-1].bias.copy_(colour)
 
-    def decode_features(self, latents: torch.Tensor, states: torch.Tensor) -> Tuple[torch.Tensor, torch.Tensor]:
-        """The decoder before the image. latents: (B, L), states: (B, D) -> log std (B,), features (B, F)."""
-        outputs = self.decoder(torch.cat((latents, states), dim=1))
+    def decode_features(
+        self, latents: torch.Tensor, states: torch.Tensor, linear: Linear = nn.Linear.__call__
+    ) -> Tuple[torch.Tensor, torch.Tensor]:
+        """The decoder before the image. latents: (B, L), states: (B, D) -> log std (B,), features (B, F).
+
+        linear: how a layer is applied to its inputs.
+        """
+        outputs = _run(self.decoder, torch.cat((latents, states), dim=1), linear)
         return outputs[:, 0].clamp(*LOG_LIMITS), outputs[:, 1:]
 
     def log_std(self, latents: torch.Tensor, states: torch.Tensor) -> torch.Tensor:
@@ -125,10 +136,18 @@ def initialise(network: nn.Module, generator: torch.Generator) -> None:
                 layer.bias.uniform_(-bound, bound, generator=generator)
 
 
-def _first_layer(layer: nn.Linear, shared: torch.Tensor, states: torch.Tensor) -> torch.Tensor:
+def _run(layers: nn.Sequential, inputs: torch.Tensor, linear: Linear) -> torch.Tensor:
+    for layer in layers:
+        inputs = linear(layer, inputs) if isinstance(layer, nn.Linear) else layer(inputs)
+    return inputs
+
+
+def _first_layer(
+    layer: nn.Linear, shared: torch.Tensor, states: torch.Tensor, linear: Linear = nn.Linear.__call__
+) -> torch.Tensor:
     """layer([shared, states]) without repeating one shared row (1, F) for every state (B, D). -> (B, O)."""
     if len(shared) == len(states):
-        return layer(torch.cat((shared, states), dim=1))
+        return linear(layer, torch.cat((shared, states), dim=1))
     width = shared.shape[1]
     return functional.linear(shared, layer.weight[:, :width], layer.bias) + functional.linear(
         states, layer.weight[:, width:]

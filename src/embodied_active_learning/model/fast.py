@@ -28,9 +28,9 @@ class FastLoss:
         """See plain_loss. Both halves of the pair are decoded as one batch."""
         size = len(noise)
         features = self._images.features(network, pair.images[:size])
-        latent = network.encode_features(pair.states[:size], features)
+        latent = network.encode_features(pair.states[:size], features, self._images.linear)
         sample = latent.mean + latent.std * noise
-        log_std, features = network.decode_features(torch.cat((sample, sample)), pair.states)
+        log_std, features = network.decode_features(torch.cat((sample, sample)), pair.states, self._images.linear)
         half_precision = 0.5 * torch.exp(-2.0 * log_std)
         weights = torch.cat((log_std.new_full((size,), 1.0 / size), log_std.new_full((size,), gamma / size)))
         total, errors = self._images.weighted_errors(network, features, pair.images, weights * half_precision)

@@ -1,170 +1,211 @@
-/* Convolutions of the image encoder and decoder, with their gradients, for LANES images at a time.
+/* Convolutions of the image encoder and decoder with their gradients, for LANES images at a time, and matrix products.
  *
  * Values are (channel, row, column, image): the images of a group are the lanes of a vector, so that every loop below is
- * an ordinary scalar convolution in which each number happens to be a vector. Weights are packed (input, ky, kx, output).
- * Plain C with GCC's vector extension: the compiler picks the instructions of the machine it runs on.
+ * an ordinary scalar convolution in which each number happens to be a vector. A convolution lies between its wide side,
+ * nearer the image, and its narrow one; both ways through it and its gradient are written in rows of the narrow or the
+ * wide side, so that whole layers can follow each other a few rows at a time while these are in the cache: at this size
+ * memory, not arithmetic, is what takes the time. Plain C with GCC's vector extension: the compiler picks the
+ * instructions of the machine it runs on.
  */
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 #ifdef __AVX512F__
+#include <immintrin.h>
 #define LANES 16
 #else
 #define LANES 8
 #endif
 
 typedef float vec __attribute__((vector_size(4 * LANES)));
-typedef uint8_t byte_vec __attribute__((vector_size(LANES)));
+typedef float loose_vec __attribute__((vector_size(4 * LANES), aligned(4)));
 typedef int32_t mask __attribute__((vector_size(4 * LANES)));
+typedef uint8_t bytes16 __attribute__((vector_size(16)));
 
 #define INLINE static inline __attribute__((always_inline))
-#define UNROLL _Pragma("GCC unroll 16")
+#define UNROLL _Pragma("GCC unroll 32")
+
+/* Have a vector loaded once into a register; the compiler would rather read it from memory in each product. */
+#ifdef __AVX512F__
+#define LOAD(name, from)                                                                                               \
+    vec name = from;                                                                                                   \
+    __asm__("" : "+v"(name))
+#else
+#define LOAD(name, from) vec name = from
+#endif
 
 int lanes(void) { return LANES; }
+
+/* Values on one side of a layer. Of its rows only `kept` are in memory, row y in place y & places: all of them with
+ * places = -1, the last few in a ring with places = kept - 1, kept a power of two. */
+typedef struct {
+    vec *values;
+    int channels, rows, columns, kept, places;
+} side;
+
+/* Weights (input channel, ky, kx, output channel) for going either way; biases of the side that is written. */
+typedef struct {
+    int kernel, stride;
+    const float *narrowing, *widening, *bias;
+} layer;
+
+/* What happens to a value before it is stored: relu keeps what is positive, gate what is positive there (the gradient of
+ * relu). totals, if wanted: sums (channels) of what is stored. */
+typedef struct {
+    const float *bias;
+    int relu;
+    const side *gate;
+    vec *totals;
+} finish;
+
+INLINE vec *row(const side *s, int channel, int y) {
+    return s->values + ((long)channel * s->kept + (y & s->places)) * s->columns;
+}
+
+INLINE int least(int a, int b) { return a < b ? a : b; }
 
 /* NaN passes, so that a network that has diverged shows it. */
 INLINE vec positive(vec value, vec where) { return (vec)((mask)value & ~(mask)(where <= 0.0f)); }
 
-/* relu: keep what is positive; gate: keep where gate is positive (the gradient of relu). */
-INLINE vec finish(vec value, int relu, const vec *gate, long index) {
-    if (relu) return positive(value, value);
-    return gate ? positive(value, gate[index]) : value;
-}
+#define START(N, P)                                                                                                    \
+    vec sum[P][N];                                                                                                     \
+    UNROLL for (int p = 0; p < P; p++) UNROLL for (int n = 0; n < N; n++)                                              \
+        sum[p][n] = (vec){0} + (f->bias ? f->bias[o + n] : 0.0f);
 
-#define STRIDED(N, P)                                                                                                  \
-    INLINE void strided_##N##_##P(const vec *in, int C, int H, int W, vec *out, int O, int OH, int OW, int k, int s,    \
-                                  const float *w, const float *bias, int relu, const vec *gate, int o, int y, int x) { \
-        vec acc[P][N];                                                                                                 \
-        UNROLL for (int p = 0; p < P; p++) UNROLL for (int n = 0; n < N; n++) acc[p][n] = (vec){0} + (bias ? bias[o + n] : 0.0f); \
-        for (int c = 0; c < C; c++)                                                                                    \
+#define STORE(N, P, STEP)                                                                                              \
+    UNROLL for (int n = 0; n < N; n++) {                                                                               \
+        vec *line = row(out, o + n, y) + x, total = {0};                                                               \
+        const vec *gate = f->gate ? row(f->gate, o + n, y) + x : 0;                                                    \
+        UNROLL for (int p = 0; p < P; p++) {                                                                           \
+            vec value = sum[p][n];                                                                                     \
+            if (f->relu) value = positive(value, value);                                                               \
+            if (gate) value = positive(value, gate[p * STEP]);                                                         \
+            line[p * STEP] = value;                                                                                    \
+            total += value;                                                                                            \
+        }                                                                                                              \
+        if (f->totals) f->totals[o + n] += total;                                                                      \
+    }
+
+/* N channels of P neighbouring columns of the narrow side. */
+#define NARROW(N, P)                                                                                                   \
+    INLINE void narrow_##N##_##P(const side *in, const side *out, const layer *l, int k, int s, const finish *f,       \
+                                 int o, int y, int x) {                                                                \
+        int O = out->channels;                                                                                         \
+        START(N, P)                                                                                                    \
+        for (int c = 0; c < in->channels; c++)                                                                         \
             for (int ky = 0; ky < k; ky++) {                                                                           \
-                const vec *row = in + ((long)c * H + y * s + ky) * W + x * s;                                          \
-                const float *weight = w + (long)(c * k + ky) * k * O + o;                                              \
+                const vec *value = row(in, c, y * s + ky) + x * s;                                                     \
+                const float *weight = l->narrowing + (long)(c * k + ky) * k * O + o;                                   \
                 for (int kx = 0; kx < k; kx++, weight += O)                                                            \
                     UNROLL for (int p = 0; p < P; p++) {                                                               \
-                        vec value = row[kx + p * s];                                                                   \
-                        UNROLL for (int n = 0; n < N; n++) acc[p][n] += value * weight[n];                             \
+                        LOAD(one, value[kx + p * s]);                                                                  \
+                        UNROLL for (int n = 0; n < N; n++) sum[p][n] += one * weight[n];                               \
                     }                                                                                                  \
             }                                                                                                          \
-        UNROLL for (int n = 0; n < N; n++) UNROLL for (int p = 0; p < P; p++) {                                        \
-            long index = ((long)(o + n) * OH + y) * OW + x + p;                                                        \
-            out[index] = finish(acc[p][n], relu, gate, index);                                                         \
-        }                                                                                                              \
+        STORE(N, P, 1)                                                                                                 \
     }
 
-STRIDED(5, 4)
-STRIDED(5, 1)
-STRIDED(3, 4)
-STRIDED(3, 1)
-STRIDED(1, 1)
-
-#define ARGUMENTS in, C, H, W, out, O, OH, OW, k, s, w, bias, relu, gate, o, y
-
-#define ROW(KIND, N, P)                                                                                                \
-    {                                                                                                                  \
-        int x = 0;                                                                                                     \
-        for (; x + P <= OW; x += P) KIND##_##N##_##P(ARGUMENTS, x);                                                    \
-        for (; x < OW; x++) KIND##_##N##_1(ARGUMENTS, x);                                                              \
-        o += N;                                                                                                        \
-    }
-
-static void strided_rows(const vec *in, int C, int H, int W, vec *out, int O, int OH, int OW, int k, int s,
-                         const float *w, const float *bias, int relu, const vec *gate, int from, int to) {
-    for (int y = from; y < to; y++)
-        for (int o = 0; o < O;) {
-            if (O - o >= 5) ROW(strided, 5, 4)
-            else if (O - o >= 3) ROW(strided, 3, 4)
-            else ROW(strided, 1, 1)
-        }
-}
-
-/* Convolution of stride s, kernel k x k, no padding: in (C, H, W) -> out (O, OH, OW). */
-void strided(const vec *in, int C, int H, int W, vec *out, int O, int OH, int OW, int k, int s, const float *w,
-             const float *bias, int relu, const vec *gate) {
-    strided_rows(in, C, H, W, out, O, OH, OW, k, s, w, bias, relu, gate, 0, OH);
-}
-
-/* P outputs of one phase: columns x, x + s, ... are reached from columns x/s - t, with kernel column x%s + s t. */
-#define SPREAD(N, P)                                                                                                   \
-    INLINE void spread_##N##_##P(const vec *in, int C, int H, int W, vec *out, int O, int OH, int OW, int k, int s,     \
-                                 const float *w, const float *bias, int relu, const vec *gate, int o, int y, int x) {  \
-        vec acc[P][N];                                                                                                 \
-        UNROLL for (int p = 0; p < P; p++) UNROLL for (int n = 0; n < N; n++) acc[p][n] = (vec){0} + (bias ? bias[o + n] : 0.0f); \
-        int column = x / s;                                                                                            \
+/* N channels of P columns of the wide side, x, x + s, ..., x = first s + phase: column first - t of the narrow side
+ * reaches the first of them with kernel column phase + s t. */
+#define WIDEN(N, P)                                                                                                    \
+    INLINE void widen_##N##_##P(const side *in, const side *out, const layer *l, int k, int s, const finish *f,        \
+                                int o, int y, int first, int phase) {                                                  \
+        int O = out->channels, x = first * s + phase;                                                                  \
+        long plane = (long)in->kept * in->columns;                                                                     \
+        START(N, P)                                                                                                    \
         for (int ky = y % s, iy = y / s; ky < k && iy >= 0; ky += s, iy--) {                                           \
-            if (iy >= H) continue;                                                                                     \
-            for (int kx = x % s, ix = column; kx < k && ix >= 0; kx += s, ix--) {                                      \
-                if (P == 1 && ix >= W) continue;                                                                       \
-                const vec *value = in + (long)iy * W + ix;                                                             \
-                const float *weight = w + (long)(ky * k + kx) * O + o;                                                 \
-                for (int c = 0; c < C; c++, value += (long)H * W, weight += (long)k * k * O)                           \
-                    UNROLL for (int p = 0; p < P; p++)                                                                 \
-                        UNROLL for (int n = 0; n < N; n++) acc[p][n] += value[p] * weight[n];                          \
+            if (iy >= in->rows) continue;                                                                              \
+            for (int kx = phase, ix = first; kx < k && ix >= 0; kx += s, ix--) {                                       \
+                if (P == 1 && ix >= in->columns) continue;                                                             \
+                const vec *value = row(in, 0, iy) + ix;                                                                \
+                const float *weight = l->widening + (long)(ky * k + kx) * O + o;                                       \
+                for (int c = 0; c < in->channels; c++, value += plane, weight += (long)k * k * O)                      \
+                    UNROLL for (int p = 0; p < P; p++) {                                                               \
+                        LOAD(one, value[p]);                                                                           \
+                        UNROLL for (int n = 0; n < N; n++) sum[p][n] += one * weight[n];                               \
+                    }                                                                                                  \
             }                                                                                                          \
         }                                                                                                              \
-        UNROLL for (int n = 0; n < N; n++) UNROLL for (int p = 0; p < P; p++) {                                        \
-            long index = ((long)(o + n) * OH + y) * OW + x + p * s;                                                    \
-            out[index] = finish(acc[p][n], relu, gate, index);                                                         \
-        }                                                                                                              \
+        STORE(N, P, s)                                                                                                 \
     }
 
-SPREAD(5, 4)
-SPREAD(5, 1)
-SPREAD(3, 4)
-SPREAD(3, 1)
-SPREAD(1, 1)
+#define TILES(KIND) KIND(5, 4) KIND(5, 1) KIND(3, 4) KIND(3, 1) KIND(1, 4) KIND(1, 1)
 
-/* Tiles only where all P columns of all taps lie inside the input. */
-#define PHASES(N, P)                                                                                                   \
-    {                                                                                                                  \
-        for (int phase = 0; phase < s; phase++) {                                                                      \
-            int taps = (k - phase + s - 1) / s, x = phase;                                                             \
-            while (x < OW) {                                                                                           \
-                int first = x / s;                                                                                     \
-                if (P > 1 && first >= taps - 1 && first + P <= W && x + (P - 1) * s < OW) {                            \
-                    spread_##N##_##P(ARGUMENTS, x);                                                                    \
-                    x += P * s;                                                                                        \
-                } else {                                                                                               \
-                    spread_##N##_1(ARGUMENTS, x);                                                                      \
-                    x += s;                                                                                            \
-                }                                                                                                      \
-            }                                                                                                          \
-        }                                                                                                              \
-        o += N;                                                                                                        \
+TILES(NARROW)
+TILES(WIDEN)
+WIDEN(3, 8)
+
+/* All channels of P columns before the next columns: what they are made of stays in the first cache meanwhile. */
+#define CHANNELS(KIND, P, ...)                                                                                         \
+    for (int o = 0; o < out->channels;) {                                                                              \
+        int left = out->channels - o;                                                                                  \
+        if (left >= 5) KIND##_5_##P(in, out, l, k, s, f, o, y, __VA_ARGS__), o += 5;                                   \
+        else if (left >= 3) KIND##_3_##P(in, out, l, k, s, f, o, y, __VA_ARGS__), o += 3;                              \
+        else KIND##_1_##P(in, out, l, k, s, f, o, y, __VA_ARGS__), o += 1;                                             \
     }
 
-static void transposed_rows(const vec *in, int C, int H, int W, vec *out, int O, int OH, int OW, int k, int s,
-                            const float *w, const float *bias, int relu, const vec *gate, int from, int to) {
+INLINE void widen_any(const side *in, const side *out, const layer *l, int k, int s, const finish *f, int from,
+                      int to) {
+    int taps = (k + s - 1) / s, tiles = least(in->columns, out->columns / s);
     for (int y = from; y < to; y++)
-        for (int o = 0; o < O;) {
-            if (O - o >= 5) PHASES(5, 4)
-            else if (O - o >= 3) PHASES(3, 4)
-            else PHASES(1, 1)
+        for (int first = 0, next; first * s < out->columns; first = next) {
+            /* Tiles only where all four columns of all taps lie inside the input. */
+            int fit = first < taps - 1 ? 0 : tiles - first;
+            int tile = fit >= 8 && out->channels == 3 ? 8 : fit >= 4 ? 4 : 0;
+            next = first + (tile ? tile : 1);
+            UNROLL for (int phase = 0; phase < s; phase++) {
+                if (tile == 8) widen_3_8(in, out, l, k, s, f, 0, y, first, phase);
+                else if (tile) CHANNELS(widen, 4, first, phase)
+                else if (first * s + phase < out->columns) CHANNELS(widen, 1, first, phase)
+            }
         }
 }
 
-/* Transposed convolution of stride s, kernel k x k: in (C, H, W) -> out (O, OH, OW). */
-void transposed(const vec *in, int C, int H, int W, vec *out, int O, int OH, int OW, int k, int s, const float *w,
-                const float *bias, int relu, const vec *gate) {
-    transposed_rows(in, C, H, W, out, O, OH, OW, k, s, w, bias, relu, gate, 0, OH);
+/* The kernel of most layers has code of its own, in which the compiler knows its size. */
+#define IS_COMMON(l) ((l)->kernel == 3 && (l)->stride == 2)
+
+/* Rows from .. to of the narrow side (out): convolution without padding. */
+static void narrow_rows(const side *in, const side *out, const layer *l, const finish *f, int from, int to) {
+    int k = l->kernel, s = l->stride;
+    for (int y = from; y < to; y++) {
+        int x = 0;
+        for (; x + 4 <= out->columns; x += 4) CHANNELS(narrow, 4, x)
+        for (; x < out->columns; x++) CHANNELS(narrow, 1, x)
+    }
 }
 
-#define ROWS 4
+/* Rows from .. to of the wide side (out): transposed convolution. */
+static void widen_rows(const side *in, const side *out, const layer *l, const finish *f, int from, int to) {
+    if (IS_COMMON(l)) widen_any(in, out, l, 3, 2, f, from, to);
+    else widen_any(in, out, l, l->kernel, l->stride, f, from, to);
+}
+
+/* Rows and columns that a gradient of weights takes together: few enough to stay in the first cache. */
+#define BLOCK_ROWS 2
+#define BLOCK_COLUMNS 16
 
 #define CORRELATE(N, K)                                                                                                \
-    INLINE void correlate_##N##_##K(const vec *small, int h, int w, const vec *large, int W, int s, int rows,          \
-                                    vec *out, long step) {                                                             \
-        vec acc[N][K];                                                                                                 \
-        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < K; i++) acc[n][i] = out[n * step + i];           \
-        for (int y = 0; y < rows; y++)                                                                                 \
-            for (int x = 0; x < w; x++) {                                                                              \
-                const vec *right = large + (long)y * s * W + x * s, *left = small + (long)y * w + x;                   \
+    INLINE void correlate_##N##_##K(const side *narrow, const side *wide, int s, int a, int b, int ky, int kx, int y,   \
+                                    int rows, int x, int columns, vec *out, long step) {                               \
+        vec sum[N][K];                                                                                                 \
+        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < K; i++) sum[n][i] = out[n * step + i];           \
+        long plane = (long)narrow->kept * narrow->columns;                                                             \
+        for (int end = y + rows; y < end; y++) {                                                                       \
+            const vec *left = row(narrow, a, y) + x, *right = row(wide, b, y * s + ky) + x * s + kx;                   \
+            for (int count = columns; count > 0; count--, left++, right += s) {                                        \
+                vec value[K];                                                                                          \
+                UNROLL for (int i = 0; i < K; i++) {                                                                   \
+                    LOAD(one, right[i]);                                                                               \
+                    value[i] = one;                                                                                    \
+                }                                                                                                      \
                 UNROLL for (int n = 0; n < N; n++) {                                                                   \
-                    vec value = left[(long)n * h * w];                                                                 \
-                    UNROLL for (int i = 0; i < K; i++) acc[n][i] += value * right[i];                                  \
+                    LOAD(one, left[n * plane]);                                                                        \
+                    UNROLL for (int i = 0; i < K; i++) sum[n][i] += one * value[i];                                    \
                 }                                                                                                      \
             }                                                                                                          \
-        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < K; i++) out[n * step + i] = acc[n][i];           \
+        }                                                                                                              \
+        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < K; i++) out[n * step + i] = sum[n][i];           \
     }
 
 CORRELATE(5, 5)
@@ -176,132 +217,375 @@ CORRELATE(1, 1)
 
 #define TAPS(N)                                                                                                        \
     for (int kx = 0; kx < k;) {                                                                                        \
-        vec *target = sums + (((long)a * B + b) * k + ky) * k + kx;                                                    \
-        const vec *left = small + ((long)a * h + y) * w, *right = large + ((long)b * H + y * s + ky) * W + kx;         \
-        if (k - kx >= 5) correlate_##N##_5(left, h, w, right, W, s, rows, target, step), kx += 5;                   \
-        else if (k - kx >= 3) correlate_##N##_3(left, h, w, right, W, s, rows, target, step), kx += 3;              \
-        else correlate_##N##_1(left, h, w, right, W, s, rows, target, step), kx += 1;                               \
+        vec *out = sums + (((long)a * wide->channels + b) * k + ky) * k + kx;                                          \
+        if (k - kx >= 5) correlate_##N##_5(narrow, wide, s, a, b, ky, kx, y, rows, x, columns, out, step), kx += 5;    \
+        else if (k - kx >= 3) correlate_##N##_3(narrow, wide, s, a, b, ky, kx, y, rows, x, columns, out, step), kx += 3; \
+        else correlate_##N##_1(narrow, wide, s, a, b, ky, kx, y, rows, x, columns, out, step), kx += 1;                \
     }
 
-static void correlate_rows(const vec *small, int A, int h, int w, const vec *large, int B, int H, int W, int k, int s,
-                           vec *sums, int from, int to) {
-    long step = (long)B * k * k;
-    for (int y = from; y < to; y += ROWS) {
-        int rows = to - y < ROWS ? to - y : ROWS;
-        for (int a = 0; a < A;) {
-            int wide = A - a >= 5;
-            for (int b = 0; b < B; b++)
-                for (int ky = 0; ky < k; ky++) {
-                    if (wide) TAPS(5)
-                    else TAPS(1)
-                }
-            a += wide ? 5 : 1;
+INLINE void correlate_any(const side *narrow, const side *wide, int k, int s, vec *sums, int from, int to) {
+    long step = (long)wide->channels * k * k;
+    for (int y = from; y < to; y += BLOCK_ROWS)
+        for (int x = 0; x < narrow->columns; x += BLOCK_COLUMNS) {
+            int rows = least(to - y, BLOCK_ROWS), columns = least(narrow->columns - x, BLOCK_COLUMNS);
+            for (int a = 0, N; a < narrow->channels; a += N) {
+                N = narrow->channels - a >= 5 ? 5 : 1;
+                for (int b = 0; b < wide->channels; b++)
+                    for (int ky = 0; ky < k; ky++) {
+                        if (N == 5) TAPS(5)
+                        else TAPS(1)
+                    }
+            }
         }
-    }
 }
 
+/* sums[a][b][ky][kx] += narrow[a][y][x] wide[b][y s + ky][x s + kx] over rows from .. to of the narrow side. */
+static void correlate_rows(const side *narrow, const side *wide, const layer *l, vec *sums, int from, int to) {
+    if (IS_COMMON(l)) correlate_any(narrow, wide, 3, 2, sums, from, to);
+    else correlate_any(narrow, wide, l->kernel, l->stride, sums, from, to);
+}
+
+/* out[i] = sum of the lanes of sums[i]. */
 static void add_lanes(const vec *sums, long count, float *out) {
     for (long i = 0; i < count; i++) {
-        out[i] = 0.0f;
-        for (int lane = 0; lane < LANES; lane++) out[i] += sums[i][lane];
+        float total = 0.0f;
+        for (int lane = 0; lane < LANES; lane++) total += sums[i][lane];
+        out[i] = total;
     }
 }
 
-/* Gradient of a kernel: out[a][b][ky][kx] = sum small[a][y][x] large[b][y s + ky][x s + kx]. sums: as many vectors. */
-void correlate(const vec *small, int A, int h, int w, const vec *large, int B, int H, int W, int k, int s, vec *sums,
-               float *out) {
-    long count = (long)A * B * k * k;
-    memset(sums, 0, sizeof(vec) * count);
-    correlate_rows(small, A, h, w, large, B, H, W, k, s, sums, 0, h);
+static long weights(const side *narrow, const side *wide, const layer *l) {
+    return (long)narrow->channels * wide->channels * l->kernel * l->kernel;
+}
+
+static vec *zeros(long count) {
+    vec *room = aligned_alloc(sizeof(vec), sizeof(vec) * count);
+    if (room) memset(room, 0, sizeof(vec) * count);
+    return room;
+}
+
+/* The same side with the last `rows` rows in memory, and room for them. */
+static side ring(const side *s, int rows) {
+    int kept = 1;
+    while (kept < rows) kept *= 2;
+    side few = {0, s->channels, s->rows, s->columns, kept, kept - 1};
+    few.values = aligned_alloc(sizeof(vec), sizeof(vec) * few.channels * kept * few.columns);
+    return few;
+}
+
+/* out (channels) of the narrow side = convolution of the wide one. Returns 0, or -1 when memory has run out. */
+int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
+    vec *sums = zeros(narrow->channels);
+    if (!sums) return -1;
+    finish f = {l->bias, relu, gate, totals ? sums : 0};
+    narrow_rows(wide, narrow, l, &f, 0, narrow->rows);
+    if (totals) add_lanes(sums, narrow->channels, totals);
+    free(sums);
+    return 0;
+}
+
+/* The wide side = transposed convolution of the narrow one. Returns 0, or -1 when memory has run out. */
+int widen(const side *narrow, const side *wide, const layer *l, int relu, const side *gate, float *totals) {
+    vec *sums = zeros(wide->channels);
+    if (!sums) return -1;
+    finish f = {l->bias, relu, gate, totals ? sums : 0};
+    widen_rows(narrow, wide, l, &f, 0, wide->rows);
+    if (totals) add_lanes(sums, wide->channels, totals);
+    free(sums);
+    return 0;
+}
+
+/* Gradient of a weight: out[a][b][ky][kx] = sum narrow[a][y][x] wide[b][y s + ky][x s + kx]. Returns 0 or -1. */
+int correlate(const side *narrow, const side *wide, const layer *l, float *out) {
+    long count = weights(narrow, wide, l);
+    vec *sums = zeros(count);
+    if (!sums) return -1;
+    correlate_rows(narrow, wide, l, sums, 0, narrow->rows);
     add_lanes(sums, count, out);
+    free(sums);
+    return 0;
 }
 
 /* out[c] = sum over rows, columns and images. */
-void channel_sums(const vec *in, int C, int H, int W, float *out) {
-    for (int c = 0; c < C; c++) {
-        double total = 0.0;
-        for (int y = 0; y < H; y++) {
-            vec sum = {0};
-            for (int x = 0; x < W; x++) sum += in[((long)c * H + y) * W + x];
-            for (int lane = 0; lane < LANES; lane++) total += sum[lane];
+void channel_sums(const side *s, float *out) {
+    long plane = (long)s->rows * s->columns;
+    for (int c = 0; c < s->channels; c++) {
+        vec sum = {0};
+        for (long i = 0; i < plane; i++) sum += s->values[c * plane + i];
+        add_lanes(&sum, 1, out + c);
+    }
+}
+
+/* Images (count, rows, columns, channels) of bytes, count at most LANES. */
+typedef struct {
+    const uint8_t *bytes;
+    int count, rows, columns, channels;
+} pictures;
+
+INLINE bytes16 low_pairs(bytes16 a, bytes16 b) {
+    return __builtin_shuffle(a, b, (bytes16){0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23});
+}
+
+INLINE bytes16 high_pairs(bytes16 a, bytes16 b) {
+    return __builtin_shuffle(a, b, (bytes16){8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31});
+}
+
+/* 16 neighbouring bytes of each lane -> 16 neighbouring vectors of bytes, one a lane: interleaved again and again. */
+INLINE void transpose(bytes16 *lines, uint8_t *out) {
+    for (int round = 1; round < LANES; round *= 2) {
+        bytes16 pairs[LANES];
+        UNROLL for (int i = 0; i < LANES / 2; i++) {
+            pairs[2 * i] = low_pairs(lines[i], lines[i + LANES / 2]);
+            pairs[2 * i + 1] = high_pairs(lines[i], lines[i + LANES / 2]);
         }
-        out[c] = (float)total;
+        UNROLL for (int i = 0; i < LANES; i++) lines[i] = pairs[i];
     }
+    memcpy(out, lines, 16 * LANES);
 }
 
-/* Row y of images (count, H, row) of bytes, as row vectors; zero beyond count. bytes: room for as many. */
-INLINE void read_row(const uint8_t *images, int count, int H, int y, int row, uint8_t *bytes) {
-    memset(bytes, 0, (long)row * LANES);
-    for (int lane = 0; lane < count; lane++) {
-        const uint8_t *line = images + ((long)lane * H + y) * row;
-        for (int i = 0; i < row; i++) bytes[(long)i * LANES + lane] = line[i];
+/* Row y of the pictures as (columns * channels, LANES) bytes; zero beyond count. */
+static void read_row(const pictures *p, int y, uint8_t *out) {
+    int length = p->columns * p->channels;
+    const uint8_t *line[LANES];
+    for (int lane = 0; lane < p->count; lane++) line[lane] = p->bytes + ((long)lane * p->rows + y) * length;
+    int i = 0;
+    for (; i + 16 <= length; i += 16) {
+        bytes16 lines[LANES];
+        UNROLL for (int lane = 0; lane < LANES; lane++) {
+            lines[lane] = (bytes16){0};
+            if (lane < p->count) memcpy(&lines[lane], line[lane] + i, 16);
+        }
+        transpose(lines, out + (long)i * LANES);
     }
+    for (; i < length; i++)
+        for (int lane = 0; lane < LANES; lane++) out[(long)i * LANES + lane] = lane < p->count ? line[lane][i] : 0;
 }
 
+/* One value in [0, 1] of each lane. */
 INLINE vec pixel(const uint8_t *bytes, long index) {
-    byte_vec value;
-    memcpy(&value, bytes + index * LANES, LANES);
-    return __builtin_convertvector(value, vec) * (1.0f / 255.0f);
+    vec value;
+#ifdef __AVX512F__ /* no compiler finds this by itself */
+    value = _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)(bytes + index * LANES))));
+#else
+    for (int lane = 0; lane < LANES; lane++) value[lane] = bytes[index * LANES + lane];
+#endif
+    return value * (1.0f / 255.0f);
 }
 
-/* Images (count, H, W, C) of bytes -> out (C, H, W) in [0, 1]; zero beyond count. bytes: W * C * LANES. */
-void pack(const uint8_t *images, int count, int H, int W, int C, vec *out, uint8_t *bytes) {
-    for (int y = 0; y < H; y++) {
-        read_row(images, count, H, y, W * C, bytes);
-        for (int c = 0; c < C; c++)
-            for (int x = 0; x < W; x++) out[((long)c * H + y) * W + x] = pixel(bytes, x * C + c);
+/* Rows from .. to of the pictures as values. line: room for a row of bytes. */
+static void read_rows(const pictures *p, const side *image, uint8_t *line, int from, int to) {
+    for (int y = from; y < to; y++) {
+        read_row(p, y, line);
+        for (int c = 0; c < p->channels; c++) {
+            vec *out = row(image, c, y);
+            for (int x = 0; x < p->columns; x++) out[x] = pixel(line, x * p->channels + c);
+        }
     }
 }
 
-/* In place of rows of values (C, H, W): (values - images) times scale. Adds up squared differences and slopes. */
-static void residual_rows(vec *values, const uint8_t *images, int count, int H, int W, int C, vec scale, double *errors,
-                          double *slopes, uint8_t *bytes, int from, int to) {
+/* In place of rows of the image: (image - pictures) times scale. Adds up squared differences and what is left. */
+static void compare_rows(const side *image, const pictures *p, vec scale, double *errors, vec *totals, uint8_t *line,
+                         int from, int to) {
     for (int y = from; y < to; y++) {
-        read_row(images, count, H, y, W * C, bytes);
+        read_row(p, y, line);
         vec squares = {0};
-        for (int c = 0; c < C; c++) {
-            vec sum = {0};
-            for (int x = 0; x < W; x++) {
-                vec *value = values + ((long)c * H + y) * W + x;
-                vec difference = *value - pixel(bytes, x * C + c);
+        for (int c = 0; c < p->channels; c++) {
+            vec *value = row(image, c, y), total = {0};
+            for (int x = 0; x < p->columns; x++) {
+                vec difference = value[x] - pixel(line, x * p->channels + c);
                 squares += difference * difference;
-                *value = difference * scale;
-                sum += *value;
+                value[x] = difference * scale;
+                total += value[x];
             }
-            for (int lane = 0; lane < LANES; lane++) slopes[c] += sum[lane];
+            totals[c] += total;
         }
         for (int lane = 0; lane < LANES; lane++) errors[lane] += squares[lane];
     }
 }
 
-#define STRIP 8
-#define MAX_CHANNELS 16
+/* Rows of the narrow side that are worked off together. */
+#define STRIP 2
 
-/* The decoder's last layer and back: in (C, h, w) -> image (O, H, W), compared with images (count, H, W, O) of bytes.
+/* Rows of the wide side that the narrow side's rows up to `to` reach. */
+INLINE int reach(const side *narrow, const side *wide, const layer *l, int to) {
+    return to < narrow->rows ? (to - 1) * l->stride + l->kernel : wide->rows;
+}
+
+/* Rows of the narrow side whose reach lies within the wide side's rows up to `to`. */
+INLINE int within(const side *narrow, const side *wide, const layer *l, int to) {
+    if (to >= wide->rows) return narrow->rows;
+    return to < l->kernel ? 0 : (to - l->kernel) / l->stride + 1;
+}
+
+static side image_of(const pictures *p) {
+    return (side){0, p->channels, p->rows, p->columns, p->rows, -1};
+}
+
+static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p->channels * LANES); }
+
+/* The first convolution, from the pictures to values with relu or without. Returns 0, or -1 without memory. */
+int look(const pictures *p, const side *out, const layer *l, int relu) {
+    side whole = image_of(p), image = ring(&whole, (STRIP - 1) * l->stride + l->kernel);
+    uint8_t *line = line_of(p);
+    int failed = !image.values || !line;
+    finish f = {l->bias, relu, 0, 0};
+    for (int from = 0, done = 0; from < out->rows && !failed; from += STRIP) {
+        int to = least(from + STRIP, out->rows), end = (to - 1) * l->stride + l->kernel;
+        read_rows(p, &image, line, done, end);
+        done = end;
+        narrow_rows(&image, out, l, &f, from, to);
+    }
+    free(image.values);
+    free(line);
+    return -failed;
+}
+
+/* Gradients of the first two convolutions: of the weights of both, and of the bias of the first.
  *
- * Leaves in errors[lane] the sum of squared differences, and of sum scale[lane] errors[lane] / 2 the gradients: of the
- * weight (C, O, k, k), of the bias (O), and of in, zero where gate is not positive. In strips of rows, so that the image
- * and its slopes need not leave the cache. sums: C * O * k * k vectors; bytes: W * O * LANES.
+ * values: between the two; slopes: behind the second. Without a second one (values->values = 0) slopes are behind the
+ * first, and its bias is left alone. Returns 0, or -1 without memory.
  */
-void reconstruct(const vec *in, int C, int h, int w, vec *image, int O, int H, int W, int k, int s, const float *widening,
-                 const float *narrowing, const float *bias, const vec *gate, const uint8_t *images, int count,
-                 const float *scale, float *errors, float *weight_slope, float *bias_slope, vec *in_slope, vec *sums,
-                 uint8_t *bytes) {
-    double squares[LANES] = {0}, slopes[MAX_CHANNELS] = {0};
-    long weights = (long)C * O * k * k;
+int look_back(const pictures *p, const layer *first, const layer *second, const side *values, const side *slopes,
+              float *first_weight, float *first_bias, float *second_weight) {
+    int two = values->values != 0;
+    const side *between = two ? values : slopes;
+    side whole = image_of(p), image = ring(&whole, (STRIP - 1) * first->stride + first->kernel);
+    side inner = two ? ring(values, STRIP) : *slopes;
+    long counts[2] = {weights(between, &image, first), two ? weights(slopes, values, second) : 0};
+    vec *sums = zeros(counts[0] + counts[1] + between->channels);
+    uint8_t *line = line_of(p);
+    int failed = !image.values || !inner.values || !sums || !line;
+    finish f = {0, 0, values, sums ? sums + counts[0] + counts[1] : 0};
+    for (int from = 0, done = 0, seen = 0; from < between->rows && !failed; from += STRIP) {
+        int to = least(from + STRIP, between->rows), end = (to - 1) * first->stride + first->kernel;
+        read_rows(p, &image, line, done, end);
+        done = end;
+        if (two) {
+            int ready = within(slopes, values, second, to);
+            correlate_rows(slopes, values, second, sums + counts[0], seen, ready);
+            seen = ready;
+            widen_rows(slopes, &inner, second, &f, from, to);
+        }
+        correlate_rows(&inner, &image, first, sums, from, to);
+    }
+    if (!failed) {
+        add_lanes(sums, counts[0], first_weight);
+        if (two) add_lanes(sums + counts[0], counts[1], second_weight);
+        if (two) add_lanes(f.totals, between->channels, first_bias);
+    }
+    if (two) free(inner.values);
+    free(image.values);
+    free(sums);
+    free(line);
+    return -failed;
+}
+
+/* The gradients that reconstruct leaves behind. */
+typedef struct {
+    float *errors;                                                /* (LANES) sums of squared differences */
+    float *last_weight, *last_bias, *before_weight, *before_bias; /* of the last two layers */
+    float *totals;                                                /* (channels) of slopes */
+    const side *slopes;                                           /* where values came in */
+} gradients;
+
+/* The decoder's last two layers and back: values -> image, compared with pictures.
+ *
+ * Leaves behind, for sum scale[lane] errors[lane] / 2, all gradients; at the values they came from zero where these are
+ * not positive, if relu. Without a layer before the last one (before->kernel = 0) values are the last layer's input.
+ * Returns 0, or -1 without memory.
+ */
+int reconstruct(const side *values, const layer *last, const layer *before, const side *between, const pictures *p,
+                const float *scale, int relu, const gradients *g) {
+    int two = before->kernel != 0;
+    const side *middle = two ? between : values;
+    int deep = ((STRIP - 1) * last->stride + last->kernel - 1) / last->stride + 1;
+    side whole = image_of(p), image = ring(&whole, STRIP * last->stride + last->kernel - 1);
+    side inner = two ? ring(middle, deep) : *values, flow = two ? ring(middle, STRIP + before->kernel) : *g->slopes;
+    long counts[2] = {weights(middle, &image, last), two ? weights(values, middle, before) : 0};
+    vec *sums = zeros(counts[0] + counts[1] + p->channels + middle->channels + values->channels);
+    uint8_t *line = line_of(p);
+    int failed = !image.values || !inner.values || !flow.values || !sums || !line;
+    vec *image_totals = sums + counts[0] + counts[1];
+    vec *middle_totals = image_totals + p->channels, *totals = middle_totals + middle->channels;
+    double errors[LANES] = {0};
     vec factor;
     memcpy(&factor, scale, sizeof(vec));
-    memset(sums, 0, sizeof(vec) * weights);
-    for (int from = 0, done = 0; from < h; from += STRIP) {
-        int to = from + STRIP < h ? from + STRIP : h;
-        int reach = to < h ? (to - 1) * s + k : H;
-        transposed_rows(in, C, h, w, image, O, H, W, k, s, widening, bias, 0, 0, done, reach);
-        residual_rows(image, images, count, H, W, O, factor, squares, slopes, bytes, done, reach);
-        done = reach;
-        correlate_rows(in, C, h, w, image, O, H, W, k, s, sums, from, to);
-        strided_rows(image, O, H, W, in_slope, C, h, w, k, s, narrowing, 0, 0, gate, from, to);
+    finish plain = {last->bias, 0, 0, 0}, rising = {before->bias, 1, 0, 0};
+    finish falling = {0, 0, two || relu ? &inner : 0, middle_totals}, ending = {0, 0, relu ? values : 0, totals};
+    for (int from = 0, done = 0, made = 0, seen = 0; from < middle->rows && !failed; from += STRIP) {
+        int to = least(from + STRIP, middle->rows), end = reach(middle, &image, last, to);
+        if (two) {
+            int needed = least((end - 1) / last->stride + 1, middle->rows);
+            widen_rows(values, &inner, before, &rising, made, needed);
+            made = needed;
+        }
+        widen_rows(&inner, &image, last, &plain, done, end);
+        compare_rows(&image, p, factor, errors, image_totals, line, done, end);
+        done = end;
+        correlate_rows(&inner, &image, last, sums, from, to);
+        narrow_rows(&image, &flow, last, &falling, from, to);
+        if (two) {
+            int ready = within(values, middle, before, to);
+            correlate_rows(values, &flow, before, sums + counts[0], seen, ready);
+            narrow_rows(&flow, g->slopes, before, &ending, seen, ready);
+            seen = ready;
+        }
     }
-    add_lanes(sums, weights, weight_slope);
-    for (int c = 0; c < O; c++) bias_slope[c] = (float)slopes[c];
-    for (int lane = 0; lane < LANES; lane++) errors[lane] = (float)squares[lane];
+    if (!failed) {
+        for (int lane = 0; lane < LANES; lane++) g->errors[lane] = (float)errors[lane];
+        add_lanes(sums, counts[0], g->last_weight);
+        add_lanes(image_totals, p->channels, g->last_bias);
+        if (two) add_lanes(sums + counts[0], counts[1], g->before_weight);
+        if (two) add_lanes(middle_totals, middle->channels, g->before_bias);
+        add_lanes(two ? totals : middle_totals, values->channels, g->totals);
+    }
+    if (two) free(inner.values);
+    if (two) free(flow.values);
+    free(image.values);
+    free(sums);
+    free(line);
+    return -failed;
+}
+
+#define PANEL 4     /* vectors of columns that are worked off together */
+#define DEPTH 512   /* rows of the right factor that stay in the second cache meanwhile */
+
+#define PRODUCT(N)                                                                                                     \
+    INLINE void product_##N(const float *left, long across, long along, const float *right, long pitch, float *out,     \
+                            long out_pitch, int depth, int add) {                                                      \
+        vec sum[N][PANEL];                                                                                             \
+        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < PANEL; i++)                                      \
+            sum[n][i] = add ? *(const loose_vec *)(out + n * out_pitch + i * LANES) : (vec){0};                        \
+        for (int d = 0; d < depth; d++, left += along, right += pitch)                                                 \
+            UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < PANEL; i++)                                  \
+                sum[n][i] += left[n * across] * *(const loose_vec *)(right + i * LANES);                               \
+        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < PANEL; i++)                                      \
+            *(loose_vec *)(out + n * out_pitch + i * LANES) = sum[n][i];                                               \
+    }
+
+PRODUCT(6)
+PRODUCT(1)
+
+int panel(void) { return PANEL * LANES; }
+
+/* out (rows, columns) = left (rows, depth) right (depth, columns).
+ *
+ * left[m * across + d * along]; rows of right and out lie pitch and out_pitch apart. columns: at least panel(). The last
+ * panel ends with the last column and may overlap the one before.
+ */
+void multiply(const float *left, long across, long along, const float *right, long pitch, float *out, long out_pitch,
+              int rows, int depth, int columns) {
+    for (int x = 0; x < columns; x += PANEL * LANES) {
+        int begin = least(x, columns - PANEL * LANES);
+        for (int d = 0; d < depth; d += DEPTH) {
+            int deep = least(DEPTH, depth - d), m = 0;
+            const float *from = right + d * pitch + begin;
+            for (; m + 6 <= rows; m += 6)
+                product_6(left + m * across + d * along, across, along, from, pitch, out + m * out_pitch + begin,
+                          out_pitch, deep, d > 0);
+            for (; m < rows; m++)
+                product_1(left + m * across + d * along, across, along, from, pitch, out + m * out_pitch + begin,
+                          out_pitch, deep, d > 0);
+        }
+    }
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from typing import List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import torch
 from torch.nn import functional
@@ -21,11 +21,29 @@ class Layer(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """A weight (narrow channels, wide channels, k, k) packed for going either way, and the bias."""
+    """A weight (narrow channels, wide channels, k, k) packed for going either way, and the bias if there is one."""
 
     narrowing: torch.Tensor
     widening: torch.Tensor
-    bias: torch.Tensor
+    bias: Optional[torch.Tensor]
+
+    @property
+    def without_bias(self) -> Weights:
+        """The same for the way back, where slopes go and not values."""
+        return self._replace(bias=None)
+
+
+class EndGradients(NamedTuple):
+    """What Kernels.reconstruct leaves behind, beside the slopes.
+
+    errors: (lanes,) sums of squared differences; weight and bias of the last layer and of the one before it, where
+    there is one; totals: (channels,) sums of the slopes.
+    """
+
+    errors: torch.Tensor
+    last: Sequence[torch.Tensor]
+    before: Optional[Sequence[torch.Tensor]]
+    totals: torch.Tensor
 
 
 def pack_weights(parameters: Sequence[torch.Tensor]) -> List[Weights]:
@@ -40,11 +58,15 @@ def pack_weights(parameters: Sequence[torch.Tensor]) -> List[Weights]:
 
 
 class Kernels:
-    """Typed calls into the library. All tensors are contiguous float32 on the CPU, values are (C, H, W, lanes)."""
+    """Typed calls into the library. Tensors are contiguous float32 on the CPU, values (C, H, W, lanes), unless said.
+
+    Every call may raise MemoryError.
+    """
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
         self.lanes: int = library.lanes()
+        self.panel: int = library.panel()
 
     def to_groups(self, values: torch.Tensor) -> torch.Tensor:
         """(B, F) -> (G, F, lanes), zero beyond B."""
@@ -59,74 +81,183 @@ class Kernels:
     def narrow(
         self,
         layer: Layer,
+        weights: Weights,
         values: torch.Tensor,
-        packed: torch.Tensor,
         out: torch.Tensor,
-        bias: Optional[torch.Tensor] = None,
         relu: bool = False,
         gate: Optional[torch.Tensor] = None,
+        totals: Optional[torch.Tensor] = None,
     ) -> None:
-        """Convolution from the wide side to the narrow one; zero where the gate (as out) is not positive."""
-        last = (layer.kernel, layer.stride, packed.data_ptr(), _address(bias), relu, _address(gate))
-        self._library.strided(values.data_ptr(), *layer.wide, out.data_ptr(), *layer.narrow, *last)
+        """Convolution from the wide side to the narrow one; zero where the gate (as out) is not positive.
+
+        totals: room for the sums (channels,) of what comes out.
+        """
+        sides = _side(layer.wide, values), _side(layer.narrow, out)
+        last = (relu, _optional_side(layer.narrow, gate), _address(totals))
+        _check(self._library.narrow(*sides, _layer(layer, weights), *last))
 
     def widen(
         self,
         layer: Layer,
+        weights: Weights,
         values: torch.Tensor,
-        packed: torch.Tensor,
         out: torch.Tensor,
-        bias: Optional[torch.Tensor] = None,
         relu: bool = False,
         gate: Optional[torch.Tensor] = None,
+        totals: Optional[torch.Tensor] = None,
     ) -> None:
-        """Transposed convolution from the narrow side to the wide one; zero where the gate (as out) is not positive."""
-        last = (layer.kernel, layer.stride, packed.data_ptr(), _address(bias), relu, _address(gate))
-        self._library.transposed(values.data_ptr(), *layer.narrow, out.data_ptr(), *layer.wide, *last)
+        """Transposed convolution from the narrow side to the wide one; otherwise as narrow."""
+        sides = _side(layer.narrow, values), _side(layer.wide, out)
+        last = (relu, _optional_side(layer.wide, gate), _address(totals))
+        _check(self._library.widen(*sides, _layer(layer, weights), *last))
 
     def weight_gradient(self, layer: Layer, narrow: torch.Tensor, wide: torch.Tensor, out: torch.Tensor) -> None:
         """Gradient (narrow channels, wide channels, k, k) of a weight, from the values and slopes on its two sides."""
-        sums = torch.empty(out.numel() * self.lanes)
-        last = (layer.wide[1], layer.wide[2], layer.kernel, layer.stride, sums.data_ptr(), out.data_ptr())
-        self._library.correlate(narrow.data_ptr(), *layer.narrow, wide.data_ptr(), layer.wide[0], *last)
+        sides = _side(layer.narrow, narrow), _side(layer.wide, wide)
+        _check(self._library.correlate(*sides, _layer(layer), out.data_ptr()))
 
     def bias_gradient(self, shape: Shape, slopes: torch.Tensor, out: torch.Tensor) -> None:
         """Sum (C,) of slopes of this shape over rows, columns and images."""
-        self._library.channel_sums(slopes.data_ptr(), *shape, out.data_ptr())
+        self._library.channel_sums(_side(shape, slopes), out.data_ptr())
 
-    def pack_images(self, images: torch.Tensor, out: torch.Tensor) -> None:
-        """Up to `lanes` images (B, H, W, 3) uint8 -> values in [0, 1]."""
-        row = self._row(images)
-        self._library.pack(images.data_ptr(), *images.shape, out.data_ptr(), row.data_ptr())
+    def look(self, layer: Layer, weights: Weights, images: torch.Tensor, out: torch.Tensor, relu: bool) -> None:
+        """The convolution next to the image, from up to `lanes` images (B, H, W, 3) uint8."""
+        _check(self._library.look(_pictures(images), _side(layer.narrow, out), _layer(layer, weights), relu))
+
+    def look_back(
+        self,
+        layers: Sequence[Layer],
+        weights: Sequence[Weights],
+        images: torch.Tensor,
+        values: Optional[torch.Tensor],
+        slopes: torch.Tensor,
+        gradients: Sequence[torch.Tensor],
+    ) -> None:
+        """Gradients of the first layers, one or two, from the slopes behind them.
+
+        values: between two layers. gradients: room for those of weight, bias, weight; or of weight alone.
+        """
+        second = _layer(layers[1], weights[1]) if len(layers) > 1 else _layer()
+        sides = _side(layers[0].narrow, values), _side(layers[-1].narrow, slopes)
+        results = [_address(part) for part in (*gradients, None, None)[:3]]
+        _check(self._library.look_back(_pictures(images), _layer(layers[0]), second, *sides, *results))
 
     def reconstruct(
         self,
-        layer: Layer,
-        weights: Weights,
+        layers: Sequence[Layer],
+        weights: Sequence[Weights],
         values: torch.Tensor,
-        gate: Optional[torch.Tensor],
-        image: torch.Tensor,
         images: torch.Tensor,
         scales: torch.Tensor,
-        errors: torch.Tensor,
-        slopes: Sequence[torch.Tensor],
+        gated: bool,
+        slopes: torch.Tensor,
+        gradients: EndGradients,
     ) -> None:
-        """Widen values to the image, compare it with images (B, H, W, 3) uint8, and take the gradients.
+        """Widen values through the last layers, one or two, compare with images (B, H, W, 3) uint8, and come back.
 
-        errors (lanes,): sums of squared differences; slopes: of the sum of scales / 2 times errors, with respect to the
-        weight, the bias and the values, the last one zero where the gate is not positive. image: room for the image.
+        layers: the image's first. Fills slopes and gradients with those of the sum of scales (lanes,) / 2 times the
+        errors; slopes are zero where gated values are not positive.
         """
-        sums, row = torch.empty(slopes[0].numel() * self.lanes), self._row(images)
-        shapes = (values.data_ptr(), *layer.narrow, image.data_ptr(), *layer.wide, layer.kernel, layer.stride)
-        packed = (weights.widening.data_ptr(), weights.narrowing.data_ptr(), weights.bias.data_ptr(), _address(gate))
-        target = (images.data_ptr(), len(images), scales.data_ptr(), errors.data_ptr())
-        results = [part.data_ptr() for part in (*slopes, sums, row)]
-        self._library.reconstruct(*shapes, *packed, *target, *results)
+        before = _layer(layers[1], weights[1]) if len(layers) > 1 else _layer()
+        parts = (gradients.errors, *gradients.last, *(gradients.before or (None, None)), gradients.totals)
+        flow = _side(layers[-1].narrow, slopes)
+        results = _Gradients(*map(_address, parts), ctypes.pointer(flow))
+        sides = _side(layers[-1].narrow, values), _layer(layers[0], weights[0]), before, _side(layers[0].narrow, None)
+        _check(self._library.reconstruct(*sides, _pictures(images), scales.data_ptr(), gated, results))
 
-    def _row(self, images: torch.Tensor) -> torch.Tensor:
-        """Room for one row of a group of images."""
-        return torch.empty(images[0, 0].numel() * self.lanes, dtype=torch.uint8)
+    def multiply(self, left: torch.Tensor, right: torch.Tensor, out: torch.Tensor) -> None:
+        """Fill out (M, N) with left (M, K) right (K, N). Rows of right and out are contiguous, N at least `panel`."""
+        rows, columns = out.shape
+        pitches = right.data_ptr(), right.stride(0), out.data_ptr(), out.stride(0)
+        self._library.multiply(left.data_ptr(), *left.stride(), *pitches, rows, len(right), columns)
+
+
+class _Side(ctypes.Structure):
+    _fields_ = (
+        ("values", ctypes.c_void_p),
+        ("channels", ctypes.c_int),
+        ("rows", ctypes.c_int),
+        ("columns", ctypes.c_int),
+        ("kept", ctypes.c_int),
+        ("places", ctypes.c_int),
+    )
+
+
+class _Layer(ctypes.Structure):
+    _fields_ = (
+        ("kernel", ctypes.c_int),
+        ("stride", ctypes.c_int),
+        ("narrowing", ctypes.c_void_p),
+        ("widening", ctypes.c_void_p),
+        ("bias", ctypes.c_void_p),
+    )
+
+
+class _Pictures(ctypes.Structure):
+    _fields_ = (
+        ("bytes", ctypes.c_void_p),
+        ("count", ctypes.c_int),
+        ("rows", ctypes.c_int),
+        ("columns", ctypes.c_int),
+        ("channels", ctypes.c_int),
+    )
+
+
+class _Gradients(ctypes.Structure):
+    _fields_ = (
+        ("errors", ctypes.c_void_p),
+        ("last_weight", ctypes.c_void_p),
+        ("last_bias", ctypes.c_void_p),
+        ("before_weight", ctypes.c_void_p),
+        ("before_bias", ctypes.c_void_p),
+        ("totals", ctypes.c_void_p),
+        ("slopes", ctypes.POINTER(_Side)),
+    )
+
+
+def signatures() -> Dict[str, Tuple[Any, List[Any]]]:
+    """What each function of the library returns and takes."""
+    address, number, length = ctypes.c_void_p, ctypes.c_int, ctypes.c_long
+    side, layer, pictures = map(ctypes.POINTER, (_Side, _Layer, _Pictures))
+    convolution = (number, [side, side, layer, number, side, address])
+    return {
+        "lanes": (number, []),
+        "panel": (number, []),
+        "narrow": convolution,
+        "widen": convolution,
+        "correlate": (number, [side, side, layer, address]),
+        "channel_sums": (None, [side, address]),
+        "look": (number, [pictures, side, layer, number]),
+        "look_back": (number, [pictures, layer, layer, side, side, address, address, address]),
+        "reconstruct": (
+            number,
+            [side, layer, layer, side, pictures, address, number, ctypes.POINTER(_Gradients)],
+        ),
+        "multiply": (None, [address, length, length, address, length, address, length, number, number, number]),
+    }
+
+
+def _side(shape: Shape, values: Optional[torch.Tensor]) -> _Side:
+    return _Side(_address(values), *shape, shape[1], -1)
+
+
+def _optional_side(shape: Shape, values: Optional[torch.Tensor]) -> Optional[_Side]:
+    return None if values is None else _side(shape, values)
+
+
+def _layer(layer: Optional[Layer] = None, weights: Optional[Weights] = None) -> _Layer:
+    """Without weights for what needs the geometry alone, without a layer for one that is not there."""
+    return _Layer(*(layer[2:] if layer else (0, 0)), *(map(_address, weights) if weights else (None, None, None)))
+
+
+def _pictures(images: torch.Tensor) -> _Pictures:
+    return _Pictures(images.data_ptr(), *images.shape)
 
 
 def _address(tensor: Optional[torch.Tensor]) -> Optional[int]:
     return None if tensor is None else tensor.data_ptr()
+
+
+def _check(status: int) -> None:
+    if status:
+        raise MemoryError("the compiled kernels found no memory to work in")

@@ -1,4 +1,4 @@
-"""Image features and reconstruction errors, with their gradients, on the compiled kernels and a pool of threads."""
+"""Image features, reconstruction errors and large layers, with gradients, on the compiled kernels."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import torch
 from torch import nn
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
-from embodied_active_learning.model.kernels import Kernels, Layer, Weights, pack_weights
+from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer, Weights, pack_weights
 
 Gradients = Tuple[Optional[torch.Tensor], ...]
+
+END = 2  # layers next to the image that are worked off together, a few rows at a time
 
 
 class NativeImages:
@@ -29,10 +31,10 @@ class NativeImages:
         geometry = zip(shapes, shapes[1:], convolutions)
         self.layers = [Layer(wide, narrow, part.kernel_size[0], part.stride[0]) for wide, narrow, part in geometry]
         self._shapes = shapes
-        self._spare: DefaultDict[int, List[List[torch.Tensor]]] = defaultdict(list)
+        self._spare: DefaultDict[Tuple[int, range], List[List[torch.Tensor]]] = defaultdict(list)
 
     def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
-        """Images (B, H, W, 3) uint8 -> features (B, F)."""
+        """Images (B, H, W, 3) uint8 -> features (B, F). They must stay as they are until the gradients are taken."""
         return _Features.apply(self, images.contiguous(), *network.image_encoder.parameters())
 
     def weighted_errors(
@@ -42,25 +44,37 @@ class NativeImages:
         parameters = network.image_decoder.parameters()
         return _WeightedErrors.apply(self, features, weights, images.contiguous(), *parameters)
 
+    def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
+        """layer(inputs), inputs (B, I) -> (B, O)."""
+        if min(inputs.shape) < self.kernels.panel:
+            return layer(inputs)
+        return _Linear.apply(self, inputs, layer.weight, layer.bias)
+
     def for_each_group(self, count: int, task: Callable[[int, slice], None]) -> None:
         """Call task(group, its images) for the groups of `count` images, on all threads."""
         lanes = self.kernels.lanes
         groups = -(-count // lanes)
         list(self._pool.map(lambda group: task(group, slice(group * lanes, (group + 1) * lanes)), range(groups)))
 
-    def borrow(self, groups: int) -> List[torch.Tensor]:
-        """Room for the values on all sides of the layers, (groups, C, H, W, lanes) from the image inwards.
+    def for_each_part(self, count: int, task: Callable[[slice], None]) -> None:
+        """Call task(part) for as many parts of range(count) as there are threads, none smaller than a panel."""
+        parts = max(1, min(self.threads, count // self.kernels.panel))
+        bounds = [count * part // parts for part in range(parts + 1)]
+        list(self._pool.map(task, map(slice, bounds, bounds[1:])))
+
+    def borrow(self, groups: int, sides: range) -> List[torch.Tensor]:
+        """Room for the values on some sides of the layers, counted from the image: (groups, C, H, W, lanes) each.
 
         Given back, it is used again: fresh memory of this size costs more in page faults than the arithmetic.
         """
         try:
-            return self._spare[groups].pop()
+            return self._spare[groups, sides].pop()
         except IndexError:
-            return [torch.empty((groups, *shape, self.kernels.lanes)) for shape in self._shapes]
+            return [torch.empty((groups, *self._shapes[side], self.kernels.lanes)) for side in sides]
 
-    def give_back(self, buffers: List[torch.Tensor]) -> None:
+    def give_back(self, buffers: List[torch.Tensor], groups: int, sides: range) -> None:
         """Return what was borrowed."""
-        self._spare[len(buffers[0])].append(buffers)
+        self._spare[groups, sides].append(buffers)
 
 
 class _Features(torch.autograd.Function):
@@ -70,15 +84,16 @@ class _Features(torch.autograd.Function):
     def forward(ctx: Any, native: NativeImages, images: torch.Tensor, *parameters: torch.Tensor) -> torch.Tensor:
         kernels, layers = native.kernels, native.layers
         weights = pack_weights(parameters)
-        values = native.borrow(-(-len(images) // kernels.lanes))
+        groups, sides = -(-len(images) // kernels.lanes), range(1, len(layers) + 1)
+        values = native.borrow(groups, sides)
 
         def encode(group: int, members: slice) -> None:
-            kernels.pack_images(images[members], values[0][group])
-            for i, (layer, (packed, _, bias)) in enumerate(zip(layers, weights)):
-                kernels.narrow(layer, values[i][group], packed, values[i + 1][group], bias, relu=i + 1 < len(layers))
+            kernels.look(layers[0], weights[0], images[members], values[0][group], relu=len(layers) > 1)
+            for i in range(1, len(layers)):
+                kernels.narrow(layers[i], weights[i], values[i - 1][group], values[i][group], relu=i + 1 < len(layers))
 
         native.for_each_group(len(images), encode)
-        ctx.native, ctx.values, ctx.weights = native, values, weights
+        ctx.native, ctx.images, ctx.values, ctx.weights = native, images, values, weights
         ctx.shapes = [parameter.shape for parameter in parameters]
         return kernels.from_groups(values[-1], len(images))
 
@@ -88,19 +103,26 @@ class _Features(torch.autograd.Function):
         kernels, layers = native.kernels, native.layers
         last = kernels.to_groups(upstream)
         gradients = [torch.empty((len(last), *shape)) for shape in ctx.shapes]
+        deep = range(END, len(layers))
 
-        def differentiate(group: int, _: slice) -> None:
-            borrowed = native.borrow(1)
-            slopes = [side[0] for side in borrowed[:-1]] + [last[group]]
-            for i in reversed(range(len(layers))):
-                kernels.weight_gradient(layers[i], slopes[i + 1], values[i][group], gradients[2 * i][group])
-                kernels.bias_gradient(layers[i].narrow, slopes[i + 1], gradients[2 * i + 1][group])
-                if i > 0:
-                    kernels.widen(layers[i], slopes[i + 1], weights[i].widening, slopes[i], gate=values[i][group])
-            native.give_back(borrowed)
+        def differentiate(group: int, members: slice) -> None:
+            borrowed = native.borrow(1, deep)
+            parts = [part[group] for part in gradients]
+            slopes = last[group]
+            kernels.bias_gradient(layers[-1].narrow, slopes, parts[-1])
+            for i in reversed(deep):
+                inner = values[i - 1][group]
+                kernels.weight_gradient(layers[i], slopes, inner, parts[2 * i])
+                below = borrowed[i - END][0]
+                kernels.widen(layers[i], weights[i].without_bias, slopes, below, gate=inner, totals=parts[2 * i - 1])
+                slopes = below
+            end = parts[:3] if len(layers) > 1 else parts[:1]
+            between = values[0][group] if len(layers) > 1 else None
+            kernels.look_back(layers[:END], weights[:END], ctx.images[members], between, slopes, end)
+            native.give_back(borrowed, 1, deep)
 
         native.for_each_group(len(upstream), differentiate)
-        native.give_back(values)
+        native.give_back(values, len(last), range(1, len(layers) + 1))
         return (None, None, *(gradient.sum(0) for gradient in gradients))
 
 
@@ -116,24 +138,27 @@ class _WeightedErrors(torch.autograd.Function):
         images: torch.Tensor,
         *parameters: torch.Tensor,
     ) -> Tuple[torch.Tensor, torch.Tensor]:
-        kernels, pixels = native.kernels, images[0].numel()
+        kernels, layers, pixels = native.kernels, native.layers, images[0].numel()
+        deep = range(END, len(layers))
         packed = pack_weights(parameters)[::-1]
         inputs, scales = kernels.to_groups(features), kernels.to_groups(weights[:, None] * (2.0 / pixels))
         slopes, errors = torch.empty_like(inputs), torch.empty((len(inputs), 1, kernels.lanes))
         gradients = [torch.empty((len(inputs), *parameter.shape)) for parameter in parameters]
 
         def work(group: int, members: slice) -> None:
-            values, below = native.borrow(1), native.borrow(1)
-            sides = [side[0] for side in values[:-1]] + [inputs[group]]
-            flow = [side[0] for side in below[:-1]] + [slopes[group]]
-            parts = [part[group] for part in gradients]
-            _decode(native, packed, sides)
-            gate = sides[1] if len(sides) > 2 else None
-            image = (sides[0], images[members], scales[group], errors[group], [*parts[-2:], flow[1]])
-            kernels.reconstruct(native.layers[0], packed[0], sides[1], gate, *image)
-            _differentiate_decoder(native, packed, sides, flow, parts)
-            native.give_back(values)
-            native.give_back(below)
+            values, flow = native.borrow(1, deep), native.borrow(1, deep)
+            inner = [*(side[0] for side in values), inputs[group]]
+            below = [*(side[0] for side in flow), slopes[group]]
+            # Weight and bias of each layer, from the image inwards.
+            slots = [(weight[group], bias[group]) for weight, bias in zip(gradients[-2::-2], gradients[::-2])]
+            totals = slots[END][1] if deep else torch.empty(layers[-1].narrow[0])
+            found = EndGradients(errors[group], slots[0], slots[1] if len(slots) > 1 else None, totals)
+            _decode(native, packed, inner)
+            image = images[members], scales[group]
+            kernels.reconstruct(layers[:END], packed[:END], inner[0], *image, bool(deep), below[0], found)
+            _differentiate_decoder(native, packed, inner, below, slots)
+            native.give_back(values, 1, deep)
+            native.give_back(flow, 1, deep)
 
         native.for_each_group(len(images), work)
         errors = kernels.from_groups(errors, len(images))[:, 0] / pixels
@@ -148,24 +173,49 @@ class _WeightedErrors(torch.autograd.Function):
         return (None, slopes, errors, None, *gradients)
 
 
-def _decode(native: NativeImages, packed: List[Weights], sides: List[torch.Tensor]) -> None:
-    """Fill the sides of one group from the innermost, the features, to the last but one, which the image is made of."""
-    for i in reversed(range(1, len(native.layers))):
-        native.kernels.widen(native.layers[i], sides[i + 1], packed[i].widening, sides[i], packed[i].bias, relu=True)
+class _Linear(torch.autograd.Function):
+    """A layer large enough that the product decides: torch's own is far from this machine's best on some processors."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, native: NativeImages, inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
+    ) -> torch.Tensor:
+        inputs = inputs.contiguous()
+        across = inputs.t().contiguous()
+        out = torch.empty((len(weight), len(inputs)))
+        native.for_each_part(len(weight), lambda part: native.kernels.multiply(weight[part], across, out[part]))
+        ctx.native = native
+        ctx.save_for_backward(inputs, weight)
+        return out.add_(bias[:, None]).t()
+
+    @staticmethod
+    def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
+        native, (inputs, weight) = ctx.native, ctx.saved_tensors
+        multiply = native.kernels.multiply
+        slopes, gradient = torch.empty_like(inputs), torch.empty_like(weight)
+        native.for_each_part(inputs.shape[1], lambda part: multiply(upstream, weight[:, part], slopes[:, part]))
+        native.for_each_part(len(weight), lambda part: multiply(upstream.t()[part], inputs, gradient[part]))
+        return None, slopes, gradient, upstream.sum(0)
+
+
+def _decode(native: NativeImages, packed: List[Weights], inner: List[torch.Tensor]) -> None:
+    """Fill the sides of one group from the innermost, the features, to that which the last layers start from."""
+    for i in reversed(range(END, len(native.layers))):
+        native.kernels.widen(native.layers[i], packed[i], inner[i + 1 - END], inner[i - END], relu=True)
 
 
 def _differentiate_decoder(
     native: NativeImages,
     packed: List[Weights],
-    sides: List[torch.Tensor],
-    slopes: List[torch.Tensor],
-    gradients: List[torch.Tensor],
+    inner: List[torch.Tensor],
+    below: List[torch.Tensor],
+    slots: List[Tuple[torch.Tensor, torch.Tensor]],
 ) -> None:
-    """From the slopes behind the image to those at the features, with the gradients of the parameters on the way."""
+    """From the slopes that the last layers leave to those at the features, with the gradients on the way."""
     kernels, count = native.kernels, len(native.layers)
-    for i in range(1, count):
-        layer, parameter = native.layers[i], 2 * (count - 1 - i)
-        kernels.weight_gradient(layer, sides[i + 1], slopes[i], gradients[parameter])
-        kernels.bias_gradient(layer.wide, slopes[i], gradients[parameter + 1])
-        gate = sides[i + 1] if i + 1 < count else None
-        kernels.narrow(layer, slopes[i], packed[i].narrowing, slopes[i + 1], gate=gate)
+    for i in range(END, count):
+        layer, (wide, narrow) = native.layers[i], below[i - END : i - END + 2]
+        values = inner[i - END + 1]
+        kernels.weight_gradient(layer, values, wide, slots[i][0])
+        gate, totals = (values, slots[i + 1][1]) if i + 1 < count else (None, None)
+        kernels.narrow(layer, packed[i].without_bias, wide, narrow, gate=gate, totals=totals)
