@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Callable, Dict, Optional, Sequence
+from typing import Callable, Dict, List, Optional, Sequence
 
 import numpy as np
 
@@ -45,6 +45,7 @@ class SimulatedArm:
         margin = _MARGIN * self._workspace.scale
         self._lower = np.asarray(self._workspace.lower) + margin
         self._upper = np.asarray(self._workspace.upper) - margin
+        self._ranges = list(zip(self._lower.tolist(), self._upper.tolist(), self._speeds.tolist()))
         self._body = PandaBody(config.simulation.physics_rate)
         try:
             self._check_reach()
@@ -66,12 +67,12 @@ class SimulatedArm:
     @property
     def velocity(self) -> np.ndarray:
         """(3,) m/s, m/s, rad/s of the camera in the base frame."""
-        return self._twist[[0, 1, 5]]
+        return np.array([self._twist[0], self._twist[1], self._twist[5]])
 
     @property
     def camera_height(self) -> float:
         """Height of the camera above the table, m."""
-        return float(self._position[2])
+        return self._position[2]
 
     @property
     def tilt(self) -> float:
@@ -155,16 +156,22 @@ class SimulatedArm:
     def _tick(self, velocity: np.ndarray) -> bool:
         """One physics step at a planar velocity (3,), cut where it would leave the workspace; whether it was cut."""
         period = self._body.period
-        slowest = np.minimum((self._lower - self._pose) / period, self._speeds)
-        fastest = np.maximum((self._upper - self._pose) / period, -self._speeds)
-        inside = np.minimum(np.maximum(velocity, slowest), fastest)
+        asked = velocity.tolist()
+        inside = self._cut(asked, period)
         joints = self._body.joints()
         twist = servo.held_twist(inside, self._position, self._orientation, self._height)
         wanted = servo.joint_velocities(self._body.jacobian(joints), twist, joints)
         share = servo.share_within_limits(wanted, joints, period)
         self._body.drive(joints, share * wanted)
         self._sense()
-        return share < 1.0 or bool(np.any(inside != velocity))
+        return share < 1.0 or inside != asked
+
+    def _cut(self, velocity: List[float], period: float) -> List[float]:
+        """A planar velocity (3,) as far as it stays in the workspace for a period, s; from outside it leads back."""
+        return [
+            min(max(speed, min((lower - at) / period, top)), max((upper - at) / period, -top))
+            for speed, at, (lower, upper, top) in zip(velocity, self._pose.tolist(), self._ranges)
+        ]
 
     def _sense(self) -> None:
         self._position, self._orientation, self._twist = self._body.optical_frame()

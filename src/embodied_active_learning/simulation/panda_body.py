@@ -11,6 +11,9 @@ import pybullet
 
 from embodied_active_learning.simulation.panda import ARM_JOINTS, OPTICAL_FRAME, physics_urdf
 
+Rotation = Tuple[Tuple[float, ...], ...]
+"""(3, 3), row by row."""
+
 # The Panda compensates gravity itself and its servos follow a commanded joint velocity within a millisecond: the model
 # of that is no gravity, and motors strong enough to follow at once.
 _MOTOR_EFFORT = 1000.0  # N m
@@ -63,13 +66,13 @@ class PandaBody:
         states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)
         return np.array([state[0] for state in states])
 
-    def optical_frame(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def optical_frame(self) -> Tuple[Tuple[float, ...], Rotation, Tuple[float, ...]]:
         """Position (3,) m, orientation (3, 3) and twist (6,) m/s, rad/s of the optical frame in the base frame."""
         state = pybullet.getLinkState(
             self._robot, self._optical, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=self._client
         )
-        orientation = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
-        return np.array(state[4]), orientation, np.array(state[6] + state[7])
+        rotation = pybullet.getMatrixFromQuaternion(state[5])
+        return state[4], (rotation[:3], rotation[3:6], rotation[6:]), state[6] + state[7]
 
     def jacobian(self, joints: np.ndarray) -> np.ndarray:
         """(6, 7) twist of the optical frame per joint velocity, at joint positions (7,)."""

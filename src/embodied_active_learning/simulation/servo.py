@@ -1,39 +1,46 @@
-"""From a planar velocity of the camera to joint velocities, with height and tilt held."""
+"""From a planar velocity of the camera to joint velocities, with height and tilt held.
+
+Every physics step comes through here. Where there are only a few numbers they are plain floats, because an operation of
+numpy takes longer to begin than such arithmetic takes in all.
+"""
 
 from __future__ import annotations
 
-from typing import Optional
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.simulation.panda import joint_limits, physics_urdf
-from embodied_active_learning.simulation.panda_body import PandaBody
+from embodied_active_learning.simulation.panda_body import PandaBody, Rotation
 
 HOME = np.array([0.0, -0.3, 0.0, -2.4, 0.0, 2.1, 0.0])
 JOINT_LIMITS = np.array(joint_limits(physics_urdf()))  # (7, 3): lower, upper rad, speed rad/s
 
+_LIMITS = JOINT_LIMITS.tolist()
 _HOLD_GAIN = 20.0  # 1/s, on height and tilt
 _POSTURE_GAIN = 1.0  # 1/s, towards home in the null space
 _SOLVED = 1e-6  # m, rad; PyBullet keeps link frames in single precision
 _DAMPING = 1e-3  # singular values below this give up speed, so that joints stay bounded
 
 
-def planar_pose(position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+def planar_pose(position: Sequence[float], orientation: Rotation) -> np.ndarray:
     """Position (3,) m and orientation (3, 3) of the optical frame -> (x, y, theta) in m, m, rad."""
-    return np.array([position[0], position[1], np.arctan2(orientation[1, 0], orientation[0, 0])])
+    # Not math.atan2, whose last digit is another: one seed is to give the poses that it has always given.
+    return np.array([position[0], position[1], np.arctan2(orientation[1][0], orientation[0][0])])
 
 
-def tilt(orientation: np.ndarray) -> np.ndarray:
-    """(2,) rotation about x and y, rad for small ones, that turns the optical axis of (3, 3) straight down."""
-    axis = orientation[:, 2]
-    return np.array([-axis[1], axis[0]])
+def tilt(orientation: Rotation) -> Tuple[float, float]:
+    """Rotation about x and y, rad for small ones, that turns the optical axis of (3, 3) straight down."""
+    return -orientation[1][2], orientation[0][2]
 
 
-def held_twist(velocity: np.ndarray, position: np.ndarray, orientation: np.ndarray, height: float) -> np.ndarray:
+def held_twist(
+    velocity: Sequence[float], position: Sequence[float], orientation: Rotation, height: float
+) -> np.ndarray:
     """Planar velocity (3,) -> twist (6,) of the optical frame that also corrects its height (m) and its tilt."""
-    about_x, about_y = _HOLD_GAIN * tilt(orientation)
+    about_x, about_y = tilt(orientation)
     climb = _HOLD_GAIN * (height - position[2])
-    return np.array([velocity[0], velocity[1], climb, about_x, about_y, velocity[2]])
+    return np.array([velocity[0], velocity[1], climb, _HOLD_GAIN * about_x, _HOLD_GAIN * about_y, velocity[2]])
 
 
 def joint_velocities(jacobian: np.ndarray, twist: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -50,11 +57,13 @@ def joint_velocities(jacobian: np.ndarray, twist: np.ndarray, joints: np.ndarray
 
 def share_within_limits(velocities: np.ndarray, joints: np.ndarray, period: float) -> float:
     """The largest part, 0 to 1, of joint velocities (7,) that keeps speeds and the positions one period on legal."""
-    lower, upper, speed = JOINT_LIMITS.T
-    room = np.where(velocities > 0.0, upper - joints, joints - lower) / period
-    allowed = np.minimum(speed, np.maximum(room, 0.0))
-    size = np.abs(velocities)
-    return float(np.min(np.where(size > allowed, allowed / np.maximum(size, 1e-12), 1.0)))
+    share = 1.0
+    for velocity, joint, (lower, upper, speed) in zip(velocities.tolist(), joints.tolist(), _LIMITS):
+        room = (upper - joint if velocity > 0.0 else joint - lower) / period
+        allowed = min(speed, max(room, 0.0))
+        if abs(velocity) > allowed:
+            share = min(share, allowed / abs(velocity))
+    return share
 
 
 def solve_joints(body: PandaBody, pose: np.ndarray, height: float) -> Optional[np.ndarray]:
