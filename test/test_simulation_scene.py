@@ -10,8 +10,9 @@ import pytest
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.simulation import scene as scene_module
 from embodied_active_learning.simulation.scene import Scene, optical_rotation
-from embodied_active_learning.simulation.world import load_world
+from embodied_active_learning.simulation.world import load_world, world_names
 from embodied_active_learning.workspace import Workspace
 
 WORKSPACE = Workspace()
@@ -181,6 +182,42 @@ def test_two_renders_of_one_state_are_identical_also_from_two_scenes():
     first.close()
     np.testing.assert_array_equal(second.render((0.47, 0.01, 0.7)), image)
     second.close()
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_leaving_out_what_is_not_in_view_changes_no_pixel(name, monkeypatch):
+    """Poses all over the workspace, and such that have an object at the edge of the picture."""
+    world, generator = load_world(name, WORKSPACE), np.random.default_rng(0)
+    poses = generator.uniform(WORKSPACE.lower, WORKSPACE.upper, (12, 3))
+    edges = [
+        (*(item.position + 0.1 * generator.uniform(-1.0, 1.0, 2)), angle)
+        for item in world.objects
+        for angle in (-0.8, 0.0, 1.7)
+    ]
+    view = Scene(world, CameraConfig())
+    pictures = [view.render(pose, 0.3) for pose in (*poses, *edges)]
+    monkeypatch.setattr(scene_module, "_in_view", lambda boxes, *_: [True] * len(boxes))
+    for pose, picture in zip((*poses, *edges), pictures):
+        np.testing.assert_array_equal(view.render(pose, 0.3), picture)
+    view.close()
+
+
+def test_an_object_that_was_out_of_view_has_its_colour_when_it_is_back(scene):
+    text = discs((0.475, 0.0, 0.0)).replace("height:", "colour: [0.2, 0.9, 0.1], height:")
+    view = scene(text)
+    picture = view.render((0.475, 0.0, 0.0))
+    blue = view.render((0.6, 0.1, 0.0))
+    assert np.all(blue == (0, 0, 255))
+    view.render((0.475, 0.0, 1.0))
+    np.testing.assert_array_equal(view.render((0.475, 0.0, 0.0)), picture)
+
+
+def test_where_there_is_nothing_but_table_nothing_is_rendered(scene, monkeypatch):
+    view = scene(discs((0.475, 0.0, 0.0)))
+    monkeypatch.delattr(scene_module.pybullet, "getCameraImage")
+    assert np.all(view.render((0.6, 0.1, 0.0)) == (0, 0, 255))
+    with pytest.raises(AttributeError):
+        view.render((0.475, 0.0, 0.0))
 
 
 def test_images_have_the_configured_size_and_are_rgb_bytes(scene):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Tuple
+from typing import List, Tuple
 
 import cv2
 import numpy as np
@@ -46,10 +46,11 @@ class Scene:
         self._camera = camera
         self._table = _TablePicture(world.table)
         self._placed = world.objects
+        self._boxes = np.array([_box(item) for item in world.objects]).reshape(-1, 8, 3)
+        self._shown = [True] * len(world.objects)
         self._client = pybullet.connect(pybullet.DIRECT)
         try:
-            for item in world.objects:
-                self._place(item)
+            self._bodies = [self._place(item) for item in world.objects]
         except WorldError:
             self.close()
             raise
@@ -88,20 +89,40 @@ class Scene:
         camera = np.eye(4)
         camera[:3, :3] = optical_rotation(pose[2])
         camera[:3, 3] = (pose[0], pose[1], height)
+        picture = self._table.picture(camera, matrix, columns, rows)
+        in_view = _in_view(self._boxes, camera, matrix, columns, rows)
+        if any(in_view):
+            self._show(in_view)
+            self._draw_objects(picture, camera, matrix)
+        return picture
+
+    def _draw_objects(self, picture: np.ndarray, camera: np.ndarray, matrix: np.ndarray) -> None:
+        """Draw the shown objects over the table's picture (rows, columns, 3) uint8 from pose (4, 4) with K (3, 3)."""
+        rows, columns, _ = picture.shape
         _, _, colours, _, bodies = pybullet.getCameraImage(
             columns,
             rows,
             viewMatrix=_view_matrix(camera),
-            projectionMatrix=_projection_matrix(matrix, columns, rows, 2.0 * height + 1.0),
+            projectionMatrix=_projection_matrix(matrix, columns, rows, 2.0 * camera[2, 3] + 1.0),
             renderer=pybullet.ER_TINY_RENDERER,
             physicsClientId=self._client,
             **_LIGHT,
         )
-        objects = np.asarray(colours, dtype=np.uint8).reshape(rows, columns, 4)[:, :, :3]
-        seen = np.asarray(bodies).reshape(rows, columns, 1) >= 0
-        return np.where(seen, objects, self._table.picture(camera, matrix, columns, rows))
+        objects = np.asarray(colours, dtype=np.uint8).reshape(rows, columns, 4)
+        covered = (np.asarray(bodies).reshape(rows, columns) >= 0).astype(np.uint8)
+        cv2.copyTo(cv2.cvtColor(objects, cv2.COLOR_RGBA2RGB), covered, picture)
 
-    def _place(self, item: PlacedObject) -> None:
+    def _show(self, in_view: List[bool]) -> None:
+        """Hide from the renderer the objects that are not in view: it would go through all of their triangles."""
+        for item, body, visible, shown in zip(self._placed, self._bodies, in_view, self._shown):
+            if visible != shown:
+                # What has no opacity at all is skipped, rather than drawn as transparent.
+                colour = (*_rgb(item), float(visible))
+                pybullet.changeVisualShape(body, -1, rgbaColor=colour, physicsClientId=self._client)
+        self._shown = in_view
+
+    def _place(self, item: PlacedObject) -> int:
+        """The number of the body that stands for an object."""
         model, turn = item.model, pybullet.getQuaternionFromEuler((0.0, 0.0, item.yaw))
         try:
             shape = pybullet.createVisualShape(
@@ -110,11 +131,11 @@ class Scene:
                 meshScale=[item.scale * value for value in model.mesh_scale],
                 visualFramePosition=[item.scale * value for value in model.mesh_position],
                 visualFrameOrientation=pybullet.getQuaternionFromEuler(model.mesh_rpy),
-                rgbaColor=_rgba(item),
+                rgbaColor=(*_rgb(item), 1.0),
                 physicsClientId=self._client,
             )
             origin = _origin(item)
-            pybullet.createMultiBody(0.0, -1, shape, origin, turn, physicsClientId=self._client)
+            return pybullet.createMultiBody(0.0, -1, shape, origin, turn, physicsClientId=self._client)
         except pybullet.error as error:
             raise WorldError(f"object {item.name}: PyBullet cannot load {model.mesh}: {error}") from error
 
@@ -184,6 +205,23 @@ def _projection_matrix(matrix: np.ndarray, columns: int, rows: int, far: float) 
     return tuple(projection.T.ravel())
 
 
+def _box(item: PlacedObject) -> np.ndarray:
+    """(8, 3) corners of the box around an object, m, in the base frame."""
+    heights = (item.height, item.height + item.extent[2])
+    return np.array([(x, y, z) for x, y in item.corners() for z in heights])
+
+
+def _in_view(boxes: np.ndarray, camera: np.ndarray, matrix: np.ndarray, columns: int, rows: int) -> List[bool]:
+    """Whether each of boxes (N, 8, 3), m, may reach into the picture from camera pose (4, 4) with K (3, 3).
+
+    One whose corners all lie beyond the same edge of the picture cannot.
+    """
+    u, v, depth = np.moveaxis((boxes - camera[:3, 3]) @ camera[:3, :3] @ matrix.T, -1, 0)  # u and v times depth
+    # A pixel more than the picture has on each side, for the renderer calculates in single precision.
+    beyond = np.stack([u < -1.5 * depth, u > (columns + 0.5) * depth, v < -1.5 * depth, v > (rows + 0.5) * depth])
+    return (~beyond.all(axis=-1).any(axis=0)).tolist()
+
+
 def _origin(item: PlacedObject) -> np.ndarray:
     """(3,) where the model's origin goes so that its mesh is centred on the position and stands at the height."""
     cosine, sine = math.cos(item.yaw), math.sin(item.yaw)
@@ -193,9 +231,9 @@ def _origin(item: PlacedObject) -> np.ndarray:
     return np.array([item.position[0] - turned[0], item.position[1] - turned[1], item.height - bottom])
 
 
-def _rgba(item: PlacedObject) -> Tuple[float, ...]:
+def _rgb(item: PlacedObject) -> Tuple[float, ...]:
     colour = item.model.colour if item.colour is None else item.colour
-    return (*colour[:3], 1.0)
+    return colour[:3]
 
 
 def _texture(table: Table) -> np.ndarray:
