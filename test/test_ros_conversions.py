@@ -40,6 +40,12 @@ def test_rows_may_be_padded():
     np.testing.assert_array_equal(conversions.image_array(message, 4, 6), picture())
 
 
+def test_each_joint_keeps_its_position_and_its_velocity():
+    message = conversions.joint_state_message(STAMP, {"elbow": 0.5, "wrist": -1.0}, {"wrist": 0.2, "elbow": 0.1})
+    assert message.header.stamp == STAMP
+    assert list(zip(message.name, message.position, message.velocity)) == [("elbow", 0.5, 0.1), ("wrist", -1.0, 0.2)]
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Sequence, Tuple
+from typing import Mapping, Sequence, Tuple
 
 import numpy as np
 import rospy
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
@@ -28,6 +28,19 @@ def state_arrays(message: PlanarState) -> Tuple[np.ndarray, np.ndarray]:
     """PlanarState -> state (3,) [m, m, rad], velocity (3,) [m/s, m/s, rad/s]."""
     state = np.array([message.x, message.y, message.theta])
     return state, np.array([message.vx, message.vy, message.omega])
+
+
+def joint_state_message(
+    stamp: rospy.Time, positions: Mapping[str, float], velocities: Mapping[str, float]
+) -> JointState:
+    """Positions [rad] and velocities [rad/s] of the same joints by name -> sensor_msgs/JointState."""
+    joints = list(positions)
+    return JointState(
+        header=Header(stamp=stamp),
+        name=joints,
+        position=list(positions.values()),
+        velocity=[velocities[name] for name in joints],
+    )
 
 
 def image_message(stamp: rospy.Time, image: np.ndarray) -> Image:
