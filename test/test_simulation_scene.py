@@ -184,22 +184,34 @@ def test_two_renders_of_one_state_are_identical_also_from_two_scenes():
     second.close()
 
 
+def assert_nothing_in_view_is_left_out(view, poses, monkeypatch):
+    """Pictures of all poses are those with every object rendered."""
+    pictures = [view.render(pose) for pose in poses]
+    with monkeypatch.context() as patch:
+        patch.setattr(scene_module, "_in_view", lambda boxes, *_: [True] * len(boxes))
+        for pose, picture in zip(poses, pictures):
+            np.testing.assert_array_equal(view.render(pose), picture)
+
+
 @pytest.mark.parametrize("name", world_names())
 def test_leaving_out_what_is_not_in_view_changes_no_pixel(name, monkeypatch):
-    """Poses all over the workspace, and such that have an object at the edge of the picture."""
     world, generator = load_world(name, WORKSPACE), np.random.default_rng(0)
-    poses = generator.uniform(WORKSPACE.lower, WORKSPACE.upper, (12, 3))
-    edges = [
-        (*(item.position + 0.1 * generator.uniform(-1.0, 1.0, 2)), angle)
-        for item in world.objects
-        for angle in (-0.8, 0.0, 1.7)
-    ]
     view = Scene(world, CameraConfig())
-    pictures = [view.render(pose, 0.3) for pose in (*poses, *edges)]
-    monkeypatch.setattr(scene_module, "_in_view", lambda boxes, *_: [True] * len(boxes))
-    for pose, picture in zip((*poses, *edges), pictures):
-        np.testing.assert_array_equal(view.render(pose, 0.3), picture)
+    anywhere = generator.uniform(WORKSPACE.lower, WORKSPACE.upper, (30, 3))
+    assert_nothing_in_view_is_left_out(view, anywhere, monkeypatch)
     view.close()
+
+
+@pytest.mark.parametrize("direction", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_an_object_is_seen_until_its_last_pixel_has_left_the_picture(scene, direction, monkeypatch):
+    view = scene(discs((0.475, 0.0, 0.02)))
+    # From 20 mm above the table the picture's edge is 75 mm off; the disc has a radius of 6 mm.
+    distances = np.arange(0.078, 0.084, 1e-4)
+    poses = [(0.475 + direction[0] * distance, direction[1] * distance, 0.0) for distance in distances]
+    seen = [reddish(view.render(pose)).any() for pose in poses]
+    assert seen[0]
+    assert not seen[-1]
+    assert_nothing_in_view_is_left_out(view, poses, monkeypatch)
 
 
 def test_an_object_that_was_out_of_view_has_its_colour_when_it_is_back(scene):
