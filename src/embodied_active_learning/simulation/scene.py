@@ -12,9 +12,9 @@ import pybullet
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.simulation.world import PlacedObject, Table, World
+from embodied_active_learning.simulation.table_picture import TablePicture
+from embodied_active_learning.simulation.world import PlacedObject, World
 
-_FLOOR = (96, 94, 92)  # grey levels beyond the table's edge
 _NEAR = 0.01  # m
 _LIGHT = {
     "lightDirection": [0.4, 0.5, 1.0],
@@ -44,7 +44,7 @@ class Scene:
     def __init__(self, world: World, camera: CameraConfig) -> None:
         """Load every mesh and texture. Raises WorldError when PyBullet cannot."""
         self._camera = camera
-        self._table = _TablePicture(world.table)
+        self._table = TablePicture(world.table)
         self._placed = world.objects
         self._boxes = np.array([_box(item) for item in world.objects]).reshape(-1, 8, 3)
         self._shown = [True] * len(world.objects)
@@ -140,40 +140,6 @@ class Scene:
             raise WorldError(f"object {item.name}: PyBullet cannot load {model.mesh}: {error}") from error
 
 
-class _TablePicture:
-    """The table top seen from straight above.
-
-    Nothing on the table lies behind it, and a plane seen head-on is its texture moved, turned and scaled: so it need
-    not go through the renderer, which would spend most of its time on it and sample the texture without filtering.
-    """
-
-    def __init__(self, table: Table) -> None:
-        self._texture = _texture(table)
-        rows, columns = self._texture.shape[:2]
-        width, depth = table.size
-        left, top = table.centre[0] - width / 2.0, table.centre[1] + depth / 2.0
-        scale_x, scale_y = columns / width, rows / depth
-        # Base frame (x, y, 1) in m -> texture pixel, whose first centre lies half a pixel from the table's edge.
-        self._to_texture = np.array(
-            [[scale_x, 0.0, -scale_x * left - 0.5], [0.0, -scale_y, scale_y * top - 0.5], [0.0, 0.0, 1.0]]
-        )
-
-    def picture(self, camera: np.ndarray, matrix: np.ndarray, columns: int, rows: int) -> np.ndarray:
-        """(rows, columns, 3) uint8 for a camera pose (4, 4) that looks straight down, and its K (3, 3)."""
-        to_plane = np.eye(3)
-        to_plane[:2, :2] = camera[:2, :2] * camera[2, 3]
-        to_plane[:2, 2] = camera[:2, 3]
-        pixel_to_texture = self._to_texture @ to_plane @ np.linalg.inv(matrix)
-        return cv2.warpAffine(
-            self._texture,
-            pixel_to_texture[:2],
-            (columns, rows),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=_FLOOR,
-        )
-
-
 def optical_rotation(theta: float) -> np.ndarray:
     """(3, 3) orientation of the optical frame in the base frame, tool pointing down: Rz(theta) Rx(pi)."""
     cosine, sine = math.cos(theta), math.sin(theta)
@@ -234,13 +200,3 @@ def _origin(item: PlacedObject) -> np.ndarray:
 def _rgb(item: PlacedObject) -> Tuple[float, ...]:
     colour = item.model.colour if item.colour is None else item.colour
     return colour[:3]
-
-
-def _texture(table: Table) -> np.ndarray:
-    """(H, W, 3) uint8 RGB of the table top."""
-    if table.texture is None:
-        return np.full((2, 2, 3), np.rint(255.0 * np.asarray(table.colour)), dtype=np.uint8)
-    image = cv2.imread(str(table.texture), cv2.IMREAD_COLOR)
-    if image is None:
-        raise WorldError(f"texture {table.texture} is not an image: give a PNG or JPEG file")
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
