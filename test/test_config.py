@@ -103,20 +103,30 @@ def test_merging_keeps_its_arguments_as_they_are():
 
 @pytest.mark.parametrize(
     ("observations", "updates"),
-    [(0, 0), (63, 0), (64, 0), (65, 3), (1064, 3000), (2999, 8805), (3000, 9000), (3001, 9000)],
+    [(0, 0), (63, 0), (64, 3), (65, 6), (1063, 3000), (2999, 8808), (3000, 9000), (3001, 9000)],
 )
-def test_three_updates_are_due_for_each_observation_past_the_first_64_and_9000_at_the_end(observations, updates):
+def test_three_updates_are_due_for_each_observation_from_the_64th_and_9000_at_the_end(observations, updates):
     assert Config().updates_due(observations) == updates
 
 
-@given(observations=st.integers(0, 5000))
-def test_updates_are_due_in_proportion_once_learning_has_begun(observations):
+@given(
+    steps=st.integers(120, 300),
+    first=st.integers(8, 120),
+    ratio=st.integers(0, 5),
+    observations=st.integers(0, 320),
+)
+def test_an_update_is_due_as_soon_as_there_are_the_observations_that_it_needs(steps, first, ratio, observations):
+    training = {"batch_size": 8, "first_update_at": first, "updates_per_observation": ratio}
+    config = Config.from_dict({"exploration": {"steps": steps}, "training": training})
+    due = sum(config.observations_needed(update) <= observations for update in range(config.updates_planned))
+    assert config.updates_due(observations) == due
+
+
+@given(observations=st.integers(1, 2999))
+def test_the_planner_waits_for_what_the_observations_before_the_newest_call_for(observations):
     config = Config()
-    due = config.updates_due(observations)
-    if observations >= 3000:
-        assert due == 9000
-    else:
-        assert due == 3 * max(0, observations - 64)
+    assert config.updates_awaited(observations) == config.updates_due(observations - 1)
+    assert config.updates_awaited(3000) == 9000
 
 
 def test_every_setting_says_what_it_means():

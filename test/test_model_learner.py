@@ -56,7 +56,7 @@ def test_an_update_reports_the_loss_with_its_terms():
     report = make().update()
     expected = report.reconstruction + report.beta * report.kl + report.gamma * report.conditional_reconstruction
     assert report.loss == pytest.approx(expected, rel=1e-5)
-    assert (report.update, report.observations) == (1, 30)
+    assert (report.update, report.observations) == (1, 8)
     assert 0.0 < report.coverage < 1.0
     assert report.gamma == pytest.approx(0.1 * report.coverage)
     assert report.log_std_min < report.log_std_max
@@ -153,11 +153,12 @@ def test_a_batch_holds_no_observation_twice():
     assert sorted(read[0][:8]) == sorted(read[0][8:]) == list(range(8))
 
 
-def test_observations_that_arrive_between_updates_are_used():
+def test_observations_are_used_from_the_update_on_that_they_call_for():
     learner = make(count=8)
-    assert learner.update().observations == 8
-    learner._observations.count = 150
-    assert learner.update().observations == 150
+    seen = [learner.update().observations for _ in range(3)]
+    learner._observations.count = 10
+    seen += [learner.update().observations for _ in range(6)]
+    assert seen == [8, 8, 8, 9, 9, 9, 10, 10, 10]
 
 
 def test_the_schedule_is_evaluated_only_every_so_many_updates():
@@ -172,14 +173,14 @@ def test_the_schedule_is_evaluated_only_every_so_many_updates():
 def test_a_non_finite_loss_is_skipped_and_counted_and_changes_no_weight():
     learner = make()
     learner.update()
-    plain, calls = learner._loss, []
+    plain, calls = learner.arithmetic.loss, []
 
     def sometimes_broken(*arguments):
         calls.append(weights(learner))
         loss = plain(*arguments)
         return loss._replace(total=loss.total * float("nan")) if len(calls) <= 2 else loss
 
-    learner._loss = sometimes_broken
+    learner.arithmetic = learner.arithmetic._replace(loss=sometimes_broken)
     report = learner.update()
     assert (report.update, learner.skipped) == (2, 2)
     assert np.isfinite(report.loss)
@@ -207,15 +208,14 @@ def test_an_evaluation_compares_own_shuffled_and_missing_latents():
     for _ in range(3):
         learner.update()
     evaluation = learner.evaluate()
-    assert (evaluation.update, evaluation.observations) == (3, 30)
+    assert (evaluation.update, evaluation.observations) == (3, 8)
     assert 0.0 < evaluation.mse_own < 1.0
     assert len({evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none}) == 3
     assert evaluation.log_std_min < evaluation.log_std_max
 
 
 def evaluated(learner, count):
-    learner._observations.count = count
-    return list(learner._evaluation_indices())
+    return list(learner._evaluation_indices(count))
 
 
 def test_the_evaluated_subset_only_grows_until_it_is_complete():
@@ -246,30 +246,30 @@ def test_the_schedule_takes_the_coverage_that_the_planner_takes():
 def test_the_snapshot_answers_as_the_network_did_when_it_was_refreshed():
     learner = make()
     learner.update()
-    assert learner.refresh()
-    assert learner.snapshot.updates == 1
+    learner.refresh()
+    assert learner.snapshots.updates == 1
     states, latent = np.random.default_rng(0).uniform(-1, 1, (9, 3)), np.linspace(-1, 1, 16)
     expected = learner.network.log_std(torch.tensor(latent).float(), torch.tensor(states).float()).detach().numpy()
     learner.update()
-    assert np.allclose(learner.snapshot.log_std(states, latent), expected, atol=1e-6)
-    assert learner.snapshot.updates == 1
+    assert np.allclose(learner.snapshots.log_std(states, latent), expected, atol=1e-6)
+    assert learner.snapshots.updates == 1
 
 
 def test_entropy_given_an_observation_is_that_given_its_latent():
     learner, store = make(), GrowingStore(70)
     states = np.random.default_rng(0).uniform(-1, 1, (9, 3))
-    latent = learner.snapshot.encode(store.states[:1], store.images[:1])[0][0]
-    values, updates = learner.snapshot.conditional_log_std(states, store.states[0], store.images[0])
-    assert np.allclose(values, learner.snapshot.log_std(states, latent), atol=1e-6)
+    latent = learner.snapshots.encode(store.states[:1], store.images[:1])[0][0]
+    values, updates = learner.snapshots.conditional_log_std(states, store.states[0], store.images[0])
+    assert np.allclose(values, learner.snapshots.log_std(states, latent), atol=1e-6)
     assert updates == 0
 
 
 def test_the_snapshot_encodes_an_image_for_each_state_or_one_for_all():
-    snapshot, store = make().snapshot, GrowingStore(70)
-    mean, std, updates = snapshot.encode(store.states, store.images)
+    snapshots, store = make().snapshots, GrowingStore(70)
+    mean, std, updates = snapshots.encode(store.states, store.images)
     assert updates == 0
     assert mean.shape == std.shape == (70, 16)
-    shared, _, _ = snapshot.encode(store.states, store.images[:1])
+    shared, _, _ = snapshots.encode(store.states, store.images[:1])
     assert np.allclose(shared[0], mean[0], atol=1e-6)
     assert np.all(std > 0.0)
 
@@ -277,19 +277,47 @@ def test_the_snapshot_encodes_an_image_for_each_state_or_one_for_all():
 @pytest.mark.parametrize("shape", [(1, 44, 45, 3), (45, 45, 3), (2, 45, 45, 3)])
 def test_the_snapshot_refuses_images_of_another_shape(shape):
     with pytest.raises(ObservationError, match="images"):
-        make().snapshot.encode(np.zeros((3, 3)), np.zeros(shape, np.uint8))
+        make().snapshots.encode(np.zeros((3, 3)), np.zeros(shape, np.uint8))
 
 
-def test_a_busy_reader_makes_a_refresh_give_up_at_once_unless_it_may_wait():
+def test_who_waits_for_updates_is_answered_by_the_model_that_had_them_and_everyone_else_by_the_newest():
+    learner, store = make(), GrowingStore(70)
+    states, question = np.zeros((4, 3)), (store.states[0], store.images[0])
+    values = {}
+    for _ in range(3):
+        learner.update()
+        learner.refresh()
+        found, updates = learner.snapshots.conditional_log_std(states, *question)
+        values[updates] = found
+    assert list(values) == [1, 2, 3]
+    for min_updates, answered_by in ((0, 3), (1, 2), (2, 2), (3, 3), (4, 3)):
+        found, updates = learner.snapshots.conditional_log_std(states, *question, min_updates)
+        assert updates == answered_by
+        np.testing.assert_array_equal(found, values[answered_by])
+
+
+def test_a_refresh_waits_for_readers_of_the_model_that_it_replaces_and_for_no_others():
     learner = make()
     learner.update()
-    with learner.snapshot._lock:
-        assert not learner.refresh()
-        waiting = threading.Thread(target=learner.refresh, kwargs={"wait": True})
+    with learner.snapshots._newer.lock:
+        learner.refresh()
+        assert learner.snapshots.updates == 1
+    learner.update()
+    with learner.snapshots._older.lock:
+        waiting = threading.Thread(target=learner.refresh)
         waiting.start()
-        assert learner.snapshot.updates == 0
+        assert learner.snapshots.updates == 1
     waiting.join(10.0)
-    assert learner.snapshot.updates == 1
+    assert learner.snapshots.updates == 2
+
+
+def test_observations_that_come_early_change_nothing():
+    in_time, early = make(count=8), make(count=90)
+    for step in range(9, 12):
+        assert [in_time.update() for _ in range(3)] == [early.update() for _ in range(3)]
+        assert in_time.evaluate() == early.evaluate()
+        in_time._observations.count = step
+    assert torch.equal(weights(in_time), weights(early))
 
 
 def test_readers_in_other_threads_see_whole_snapshots_while_learning_goes_on():
@@ -299,15 +327,15 @@ def test_readers_in_other_threads_see_whole_snapshots_while_learning_goes_on():
 
     def read():
         while not done.is_set():
-            answers.add(float(learner.snapshot.log_std(states, latent)[0]))
+            answers.add(float(learner.snapshots.log_std(states, latent)[0]))
 
     reader = threading.Thread(target=read)
     reader.start()
-    legal = {float(learner.snapshot.log_std(states, latent)[0])}
+    legal = {float(learner.snapshots.log_std(states, latent)[0])}
     for _ in range(5):
         learner.update()
-        learner.refresh(wait=True)
-        legal.add(float(learner.snapshot.log_std(states, latent)[0]))
+        learner.refresh()
+        legal.add(float(learner.snapshots.log_std(states, latent)[0]))
     done.set()
     reader.join(10.0)
     assert answers <= legal

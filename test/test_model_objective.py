@@ -155,7 +155,7 @@ def test_the_loss_over_blocks_is_as_exact_as_the_plain_one_at_180_pixels():
 
 def test_gradients_scale_with_what_is_asked_of_the_fast_loss():
     network, pair, noise = make((45, 45), ModelConfig(), 2)
-    fast, _ = fastest_loss(network)
+    fast = fastest_loss(network).loss
     _, once = gradients(fast, network, pair, noise, 1e-3, 0.07)
     network.zero_grad()
     (3.0 * fast(network, pair, noise, 1e-3, 0.07).total).backward()
@@ -180,12 +180,12 @@ def test_a_weight_that_is_not_a_number_shows_in_the_compiled_loss():
     network, pair, noise = make((45, 45), ModelConfig(), 3)
     with torch.no_grad():
         network.image_encoder[0].weight[0, 0, 0, 0] = math.nan
-    assert math.isnan(fastest_loss(network)[0](network, pair, noise, 1e-3, 0.07).total.item())
+    assert math.isnan(fastest_loss(network).loss(network, pair, noise, 1e-3, 0.07).total.item())
 
 
 def test_without_a_compiler_torch_does_the_work_and_the_reason_is_told(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", str(tmp_path / "no-such-compiler"))
     network, pair, noise = make((45, 45), ModelConfig(), 2)
-    loss, reason = fastest_loss(network)
+    loss, reason, _ = fastest_loss(network)
     assert "no C compiler" in reason
     assert torch.isfinite(loss(network, pair, noise, 1e-3, 0.07).total)

@@ -57,9 +57,9 @@ def test_updates_keep_their_ratio_to_observations(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run) as (reports, _):
         hand_over(run, range(9))
-        run.log_std(np.zeros((1, 3)), 10, TIMEOUT)
-        assert run.updates == 2 * (9 - 4)
-        assert [report.update for report in reports] == list(range(1, 11))
+        run.log_std(np.zeros((1, 3)), 12, TIMEOUT)
+        assert run.updates == 2 * (9 + 1 - 4)
+        assert [report.update for report in reports] == list(range(1, 13))
         assert not run.finished
 
 
@@ -98,9 +98,9 @@ def test_entropy_and_latents_come_from_the_newest_snapshot(tmp_path):
     with training(run):
         hand_over(run, range(8))
         states = np.array([observation(index)[2] for index in range(6)])
-        log_std, updates, ready = run.log_std(states, 8, TIMEOUT)
+        log_std, updates, ready = run.log_std(states, 10, TIMEOUT)
         assert ready
-        assert updates == 8
+        assert updates == 10
         assert log_std.shape == (6,)
         assert np.all(np.isfinite(log_std))
         means, stds, updates = run.encode(states, [observation(index)[3] for index in range(6)])
@@ -125,10 +125,10 @@ def test_a_stopped_run_goes_on_with_every_observation_and_update(tmp_path):
     first = TrainingRun(configured(tmp_path))
     with training(first):
         hand_over(first, range(10))
-        first.log_std(np.zeros((1, 3)), 12, TIMEOUT)
+        first.log_std(np.zeros((1, 3)), 14, TIMEOUT)
     again = TrainingRun(configured(tmp_path, resume=True))
     assert again.observations == 10
-    assert again.updates == 12
+    assert again.updates == 14
     np.testing.assert_array_equal(again.trajectory[3], observation(3)[2])
     with training(again) as (_, finished):
         hand_over(again, range(10, STEPS))

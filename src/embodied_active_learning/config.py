@@ -116,8 +116,8 @@ class TrainingConfig:
     )
     updates_per_observation: int = setting(3, "model updates for each observation", "", 0, 1000)
     max_lag: int = setting(
-        6,
-        "updates that the trainer may be behind before the planner waits; 0 makes a run repeatable",
+        0,
+        "updates that the trainer may be behind before the planner waits; at 0 one seed gives one result",
         "updates",
         0,
         1000000,
@@ -353,11 +353,29 @@ class Config:
         """Model updates of the whole run."""
         return self.training.updates_per_observation * self.exploration.steps
 
+    def observations_needed(self, update: int) -> int:
+        """Observations that update number `update`, from 0, draws its batches from: all so far when it may be made.
+
+        A function of the update alone, so that what is learned does not depend on how fast anything else goes.
+        """
+        training, steps = self.training, self.exploration.steps
+        ratio = training.updates_per_observation
+        proportional = ratio * (steps - training.first_update_at)
+        return steps if update >= proportional else training.first_update_at + update // ratio
+
     def updates_due(self, observations: int) -> int:
         """Model updates that so many observations call for: none before learning starts, all when exploring is over."""
+        training = self.training
         if observations >= self.exploration.steps:
             return self.updates_planned
-        return self.training.updates_per_observation * max(0, observations - self.training.first_update_at)
+        return training.updates_per_observation * max(0, observations + 1 - training.first_update_at)
+
+    def updates_awaited(self, observations: int) -> int:
+        """Model updates that the planner waits for with so many observations, less training/max_lag.
+
+        What the newest observation calls for is learned while the arm moves on; when exploring is over, all of it.
+        """
+        return self.updates_due(observations if observations >= self.exploration.steps else observations - 1)
 
     @classmethod
     def from_dict(cls, values: Dict[str, Any]) -> Config:

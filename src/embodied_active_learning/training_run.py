@@ -14,6 +14,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.learner import Learner, UpdateReport
+from embodied_active_learning.model.objective import Arithmetic
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table
@@ -48,8 +49,8 @@ class TrainingRun:
         return self._session.paths.path
 
     @property
-    def arithmetic(self) -> str:
-        """How updates are computed on this machine, in words."""
+    def arithmetic(self) -> Arithmetic:
+        """How updates are computed on this machine."""
         return self._learner.arithmetic
 
     @property
@@ -114,16 +115,16 @@ class TrainingRun:
     ) -> Tuple[Optional[np.ndarray], int, bool]:
         """Log standard deviation (S,) at states (S, 3) SI units, given the newest observation's latent.
 
-        Waits up to timeout seconds for a model with min_updates. -> (values, or None before the first update; updates
-        of the model that answered; whether it had min_updates).
+        Waits up to timeout seconds for a model with min_updates; the older of two that have them answers. -> (values,
+        or None before the first update; updates of the model that answered; whether it had min_updates).
         """
         ready = self._wait_for_updates(min_updates, timeout)
-        snapshot = self._learner.snapshot
+        snapshots = self._learner.snapshots
         count = self.observations
-        if not ready or snapshot.updates == 0 or count == 0:
-            return None, snapshot.updates, ready
+        if not ready or snapshots.updates == 0 or count == 0:
+            return None, snapshots.updates, ready
         newest = self._store.states[count - 1], self._store.images[count - 1]
-        log_std, updates = snapshot.conditional_log_std(self._workspace.normalise(states), *newest)
+        log_std, updates = snapshots.conditional_log_std(self._workspace.normalise(states), *newest, min_updates)
         return log_std, updates, ready
 
     def encode(self, states: Sequence[np.ndarray], images: Sequence[np.ndarray]) -> Tuple[np.ndarray, np.ndarray, int]:
@@ -133,7 +134,7 @@ class TrainingRun:
         """
         if not images or len(images) != len(states):
             raise ObservationError(f"{len(images)} images and {len(states)} states: give one of each, or several")
-        return self._learner.snapshot.encode(self._workspace.normalise(states), np.stack(images))
+        return self._learner.snapshots.encode(self._workspace.normalise(states), np.stack(images))
 
     def save(self, timeout: float = 60.0) -> Path:
         """Have the training thread write a checkpoint now -> its path. Raises SessionError when none came in time."""
@@ -176,14 +177,15 @@ class TrainingRun:
             self._evaluation_table.append(dataclasses.asdict(self._learner.evaluate()))
         if report.update % training.checkpoint_every == 0:
             self._checkpoint()
-        if report.update % max(1, training.updates_per_observation) == 0 and self._learner.refresh():
+        if report.update % training.updates_per_observation == 0:
+            self._learner.refresh()
             self.wake()
         return report
 
     def _wait_for_work(self, stop: threading.Event) -> None:
         """Sleep until there is something to do; before that, let everyone see the newest model."""
-        if self._learner.snapshot.updates != self._learner.updates:
-            self._learner.refresh(wait=True)
+        if self._learner.snapshots.updates != self._learner.updates:
+            self._learner.refresh()
             self.wake()
         with self._changed:
             self._changed.wait_for(lambda: stop.is_set() or self._save_asked or self._has_work())
@@ -197,7 +199,7 @@ class TrainingRun:
 
     def _wait_for_updates(self, count: int, timeout: float) -> bool:
         with self._changed:
-            return self._changed.wait_for(lambda: self._learner.snapshot.updates >= count, timeout)
+            return self._changed.wait_for(lambda: self._learner.snapshots.updates >= count, timeout)
 
     def _finish(self) -> None:
         self._checkpoint()

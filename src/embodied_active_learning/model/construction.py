@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Callable, Tuple
-
 import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.model.cvae import ConditionalVAE, initialise
 from embodied_active_learning.model.fast import fastest_loss
-from embodied_active_learning.model.objective import Loss, plain_loss
-
-LossFunction = Callable[..., Loss]
+from embodied_active_learning.model.objective import Arithmetic, plain_loss
 
 
 def choose_device(name: str) -> torch.device:
@@ -23,9 +19,11 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if available and name != "cpu" else "cpu")
 
 
-def choose_loss(network: ConditionalVAE, device: torch.device) -> Tuple[LossFunction, str]:
-    """The fastest way to compute the loss on the device, and in words what it is and why."""
-    return (plain_loss, f"torch on {device}") if device.type != "cpu" else fastest_loss(network)
+def choose_arithmetic(network: ConditionalVAE, device: torch.device) -> Arithmetic:
+    """The fastest way to compute the loss on the device."""
+    if device.type == "cpu":
+        return fastest_loss(network)
+    return Arithmetic(plain_loss, f"torch on {device}", torch.get_num_threads())
 
 
 def build_network(config: Config, seed: int) -> ConditionalVAE:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Tuple, Union
+from typing import Union
 
 import torch
 
@@ -11,7 +11,7 @@ from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.kernels import Kernels
 from embodied_active_learning.model.native import NativeImages
-from embodied_active_learning.model.objective import HALF_LOG_TWO_PI, Batch, Loss, kl_divergence
+from embodied_active_learning.model.objective import HALF_LOG_TWO_PI, Arithmetic, Batch, Loss, kl_divergence
 
 
 class FastLoss:
@@ -40,9 +40,11 @@ class FastLoss:
         return Loss(total, terms[:size].mean(), terms[size:].mean(), kl, latent.mean)
 
 
-def fastest_loss(network: ConditionalVAE) -> Tuple[FastLoss, str]:
-    """The fastest loss that this machine's CPU can compute, and in words what it runs on and why."""
+def fastest_loss(network: ConditionalVAE) -> Arithmetic:
+    """The fastest way to compute the loss on this machine's CPU, with as many threads as torch has now."""
+    threads = torch.get_num_threads()
     library, reason = load_library()
     if library is None:
-        return FastLoss(BlockImages(network)), f"torch alone: {reason}"
-    return FastLoss(NativeImages(network, Kernels(library))), reason
+        return Arithmetic(FastLoss(BlockImages(network)), f"torch alone, {threads} threads: {reason}", threads)
+    images = NativeImages(network, Kernels(library))
+    return Arithmetic(FastLoss(images), f"{reason}, {threads} threads", 1)

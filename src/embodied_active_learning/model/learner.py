@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, Optional, Tuple
 
 import numpy as np
 import torch
@@ -14,18 +14,17 @@ from embodied_active_learning.exploration.coverage import workspace_coverage
 from embodied_active_learning.exploration.kernel import CoverageKernel
 from embodied_active_learning.model import checkpoint
 from embodied_active_learning.model.construction import (
-    LossFunction,
     build_network,
     build_optimiser,
+    choose_arithmetic,
     choose_device,
-    choose_loss,
 )
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.measures import Evaluation, active_units, evaluate_model
 from embodied_active_learning.model.objective import Loss
 from embodied_active_learning.model.observations import BatchReader, Observations
 from embodied_active_learning.model.schedule import Schedule
-from embodied_active_learning.model.snapshot import Snapshot
+from embodied_active_learning.model.snapshot import Snapshots
 
 ATTEMPTS = 5  # batches tried for one update before a loss that is not finite counts as divergence
 
@@ -58,11 +57,11 @@ class UpdateReport:
 class Learner:
     """Trains the network (paper, Alg. 1, lines 12-14). Draws only from its own generators, seeded from the seed.
 
-    One thread may call its methods; `snapshot` may be asked from any thread.
+    One thread may call its methods; `snapshots` may be asked from any thread.
     """
 
     def __init__(
-        self, config: Config, observations: Observations, seed: int, loss: Optional[LossFunction] = None
+        self, config: Config, observations: Observations, seed: int, loss: Optional[Callable[..., Loss]] = None
     ) -> None:
         """Build the network and the optimiser. Raises ConfigError for a device that is not there.
 
@@ -76,22 +75,27 @@ class Learner:
         self._random = np.random.default_rng(batches_seed)
         self.network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
         self._optimiser = build_optimiser(self.network, config.training.learning_rate)
-        self._loss, self.arithmetic = (loss, "as given") if loss else choose_loss(self.network, self._device)
+        chosen = choose_arithmetic(self.network, self._device)
+        self.arithmetic = chosen if loss is None else chosen._replace(loss=loss, description="as given")
         self._reader = BatchReader(observations, self._device, keep=self._device.type != "cpu")
         self._variance = CoverageKernel.from_config(config).variance
         self.schedule = Schedule(config.objective)
         self.updates = 0
         self.skipped = 0
-        self.snapshot = Snapshot(self.network)
+        self.snapshots = Snapshots(self.network)
 
     def update(self) -> UpdateReport:
-        """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients."""
+        """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients.
+
+        Only the observations that the update needs are looked at (see Config.observations_needed), however many there
+        are by now: one sequence of observations gives one result.
+        """
+        count = self._count(self.updates)
         if self.updates == 0 and self._config.training.start_at_mean_colour:
-            self.network.start_at(self._mean_colour())
+            self.network.start_at(self._mean_colour(count))
         if self.updates % self._config.objective.schedule_every == 0:
-            self._evaluate_schedule()
+            self._evaluate_schedule(count)
         beta, gamma = self.schedule.beta, self.schedule.gamma
-        count = len(self._observations)
         loss = self._attempt(count, beta, gamma)
         self.updates += 1
         return UpdateReport(
@@ -113,26 +117,27 @@ class Learner:
         """The model on a fixed subset of the observations, and over the workspace with the newest one's latent.
 
         Which `evaluation_size` of the run's `exploration.steps` observations make up the subset follows from the seed.
-        Those of them that are there already are used, so that the subset only grows until it is complete; where they
-        are fewer than two, the newest two observations stand in. Draws nothing from the training's generator, so that
-        looking does not change the run.
+        Those that the last update could see are used, so that the subset only grows until it is complete; where they
+        are fewer than two, the newest two stand in. Draws nothing from the training's generator, so that looking does
+        not change the run.
         """
-        subset = self._reader.read(self._evaluation_indices())
+        count = self._count(max(0, self.updates - 1))
+        subset = self._reader.read(self._evaluation_indices(count))
         random = np.random.default_rng(np.random.SeedSequence([self._seed, 202]))
         with torch.inference_mode():
-            log_std = self._log_std_over(self._workspace_states(random))
+            log_std = self._log_std_over(self._workspace_states(random), count)
             measured = evaluate_model(self.network, subset, self._config.training.active_unit_threshold)
         return Evaluation(
             update=self.updates,
-            observations=len(self._observations),
+            observations=count,
             log_std_min=float(log_std.min()),
             log_std_max=float(log_std.max()),
             **measured,
         )
 
-    def refresh(self, wait: bool = False) -> bool:
-        """Bring the snapshot up to date. False, at once, if a reader is busy with it and wait is not set."""
-        return self.snapshot.copy_from(self.network, self.updates, wait)
+    def refresh(self) -> None:
+        """Let the snapshots answer from the model as it is now; waits for those who still read the one before last."""
+        self.snapshots.take(self.network, self.updates)
 
     def state(self) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
         """Copies of all that a continued run needs: tensors on the CPU, and plain numbers that JSON can hold."""
@@ -152,7 +157,7 @@ class Learner:
         self.skipped = int(counters["skipped"])
         self.schedule.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
-        self.refresh(wait=True)
+        self.refresh()
 
     def _attempt(self, count: int, beta: float, gamma: float) -> Loss:
         for _ in range(ATTEMPTS):
@@ -172,37 +177,40 @@ class Learner:
         noise = self._random.standard_normal((size, self.network.latent_size), dtype=np.float32)
         pair = self._reader.read(np.concatenate(halves))
         self._optimiser.zero_grad(set_to_none=True)
-        loss = self._loss(self.network, pair, torch.from_numpy(noise).to(self._device), beta, gamma)
+        loss = self.arithmetic.loss(self.network, pair, torch.from_numpy(noise).to(self._device), beta, gamma)
         loss.total.backward()
         return Loss(*(term.detach() for term in loss))
 
-    def _mean_colour(self) -> torch.Tensor:
-        """(3,) mean of all pixels of the observations there are, in [0, 1]."""
-        images = self._observations.images[: len(self._observations)]
+    def _count(self, update: int) -> int:
+        """Observations that update number `update`, from 0, looks at: the first so many."""
+        return min(len(self._observations), self._config.observations_needed(update))
+
+    def _mean_colour(self, count: int) -> torch.Tensor:
+        """(3,) mean of all pixels of the first `count` observations, in [0, 1]."""
+        images = self._observations.images[:count]
         return torch.from_numpy(images.mean(axis=(0, 1, 2)) / 255.0).to(self._device, torch.float32)
 
-    def _evaluate_schedule(self) -> None:
+    def _evaluate_schedule(self, count: int) -> None:
         states = self._workspace_states(self._random)
         with torch.inference_mode():
-            log_std = self._log_std_over(states)
-        visited = self._observations.states[: len(self._observations)]
+            log_std = self._log_std_over(states, count)
+        visited = self._observations.states[:count]
         authors = self._config.exploration.authors_coverage
         self.schedule.evaluate(log_std, workspace_coverage(states, visited, self._variance, authors))
 
     def _workspace_states(self, random: np.random.Generator) -> np.ndarray:
         return random.uniform(-1.0, 1.0, (self._config.exploration.samples, self.network.state_size))
 
-    def _log_std_over(self, states: np.ndarray) -> np.ndarray:
-        """Log std (S,) at states (S, D), given the newest observation."""
-        latent = self.network.encode(*self._reader.newest()).mean
+    def _log_std_over(self, states: np.ndarray, count: int) -> np.ndarray:
+        """Log std (S,) at states (S, D), given the last of the first `count` observations."""
+        latent = self.network.encode(*self._reader.read(np.array([count - 1]))).mean
         points = torch.from_numpy(states.astype(np.float32)).to(self._device)
         return self.network.log_std(latent, points).cpu().numpy()
 
-    def _evaluation_indices(self) -> np.ndarray:
-        """Indices (N,) of the fixed subset's observations that are there, or of the newest two."""
+    def _evaluation_indices(self, count: int) -> np.ndarray:
+        """Indices (N,) of the fixed subset among the first `count` observations, or of the last two of these."""
         random = np.random.default_rng(np.random.SeedSequence([self._seed, 203]))
         chosen = random.permutation(self._config.exploration.steps)[: self._config.training.evaluation_size]
-        count = len(self._observations)
         present = chosen[chosen < count]
         return present if len(present) >= 2 else np.arange(max(0, count - 2), count)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 import torch
 
@@ -27,6 +27,17 @@ class Loss(NamedTuple):
     conditional_reconstruction: torch.Tensor
     kl: torch.Tensor
     latent_means: torch.Tensor
+
+
+class Arithmetic(NamedTuple):
+    """A way to compute the loss, what it runs on and why, and the threads that torch itself should have beside it.
+
+    torch's threads spin for a while after their work, on cores that others need: 1 where others do the work.
+    """
+
+    loss: Callable[..., Loss]
+    description: str
+    torch_threads: int
 
 
 def negative_log_likelihood(images: torch.Tensor, means: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:

@@ -37,10 +37,6 @@ class BatchReader:
         states = np.asarray(self._observations.states[indices], dtype=np.float32)
         return Batch(torch.from_numpy(states).to(self._device), self._images(indices))
 
-    def newest(self) -> Batch:
-        """The latest observation, as a batch of one."""
-        return self.read(np.array([len(self._observations) - 1]))
-
     def _images(self, indices: np.ndarray) -> torch.Tensor:
         if not self._keep:
             return torch.from_numpy(self._copy_to_buffer(indices)).to(self._device)

@@ -1,10 +1,11 @@
-"""A shadow copy of the network that answers questions while the original goes on learning in another thread."""
+"""Shadow copies of the network that answer questions while the original goes on learning in another thread."""
 
 from __future__ import annotations
 
 import copy
 import threading
-from typing import Tuple
+from contextlib import contextmanager
+from typing import Iterator, Tuple
 
 import numpy as np
 import torch
@@ -15,29 +16,57 @@ from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian
 CHUNK = 64
 
 
-class Snapshot:
-    """The network as it was after `updates` updates. Safe to use from any thread; arrays in, arrays out."""
+class Copy:
+    """A network that nobody trains, with the updates it was made after. Whoever holds the lock may use it."""
 
     def __init__(self, network: ConditionalVAE) -> None:
-        self._network = copy.deepcopy(network).requires_grad_(False)
-        self._device = next(network.parameters()).device
-        self._lock = threading.Lock()
+        self.network = copy.deepcopy(network).requires_grad_(False)
+        self.lock = threading.Lock()
         self.updates = 0
+        self._device = next(network.parameters()).device
+
+    def latent(self, states: np.ndarray, images: np.ndarray) -> LatentGaussian:
+        """q(z | x, y) at states (B, D) normalised, from images (B, H, W, 3) or (1, H, W, 3) uint8."""
+        parts = torch.from_numpy(np.array(images)).split(CHUNK)
+        features = torch.cat([self.network.image_features(part.to(self._device)) for part in parts])
+        return self.network.encode_features(self.tensor(states), features)
+
+    def tensor(self, values: np.ndarray) -> torch.Tensor:
+        """Numbers as the network takes them."""
+        return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)).to(self._device)
+
+
+class Snapshots:
+    """The network as it was at the last two refreshes. Safe to use from any thread; arrays in, arrays out.
+
+    Two, because learning goes on while the planner looks at what the model before said: see `min_updates`.
+    """
+
+    def __init__(self, network: ConditionalVAE) -> None:
+        self._older, self._newer = Copy(network), Copy(network)
+
+    @property
+    def updates(self) -> int:
+        """Updates of the newest model."""
+        return self._newer.updates
 
     def log_std(self, states: np.ndarray, latent: np.ndarray) -> np.ndarray:
         """Log standard deviation of the image predicted at states (S, D) from one latent (L,). -> (S,) float32."""
-        with self._lock, torch.inference_mode():
-            return self._network.log_std(self._tensor(latent), self._tensor(states)).cpu().numpy()
+        with torch.inference_mode(), self._reading() as found:
+            return found.network.log_std(found.tensor(latent), found.tensor(states)).cpu().numpy()
 
-    def conditional_log_std(self, states: np.ndarray, state: np.ndarray, image: np.ndarray) -> Tuple[np.ndarray, int]:
+    def conditional_log_std(
+        self, states: np.ndarray, state: np.ndarray, image: np.ndarray, min_updates: int = 0
+    ) -> Tuple[np.ndarray, int]:
         """Log standard deviation predicted at states (S, D), given the mean latent of one observation.
 
-        state: (D,) normalised, image: (H, W, 3) uint8 -> (S,) float32, and the updates of the model that answers.
+        state: (D,) normalised, image: (H, W, 3) uint8 -> (S,) float32, and the updates of the model that answers. That
+        is the older one if it has min_updates: who counts updates is answered by the very model that it waited for.
         """
         self._check(state[np.newaxis], image[np.newaxis])
-        with self._lock, torch.inference_mode():
-            latent = self._latent(state[np.newaxis], image[np.newaxis]).mean[0]
-            return self._network.log_std(latent, self._tensor(states)).cpu().numpy(), self.updates
+        with torch.inference_mode(), self._reading(min_updates) as found:
+            latent = found.latent(state[np.newaxis], image[np.newaxis]).mean[0]
+            return found.network.log_std(latent, found.tensor(states)).cpu().numpy(), found.updates
 
     def encode(self, states: np.ndarray, images: np.ndarray) -> Tuple[np.ndarray, np.ndarray, int]:
         """q(z | x, y): mean and std, (B, L) float32 each, and the updates of the model that answers.
@@ -46,33 +75,32 @@ class Snapshot:
         Raises ObservationError for images of another shape or type than the model was built for.
         """
         self._check(states, images)
-        with self._lock, torch.inference_mode():
-            latent = self._latent(states, images)
-            return latent.mean.cpu().numpy(), latent.std.cpu().numpy(), self.updates
+        with torch.inference_mode(), self._reading() as found:
+            latent = found.latent(states, images)
+            return latent.mean.cpu().numpy(), latent.std.cpu().numpy(), found.updates
 
-    def copy_from(self, network: ConditionalVAE, updates: int, wait: bool = False) -> bool:
-        """Take over the weights, into the memory at hand. False, at once, if a reader is busy and wait is not set."""
-        if not self._lock.acquire(blocking=wait):
-            return False
-        try:
-            with torch.no_grad():
-                for mine, theirs in zip(self._network.parameters(), network.parameters()):
-                    mine.copy_(theirs)
-            self.updates = updates
-        finally:
-            self._lock.release()
-        return True
+    def take(self, network: ConditionalVAE, updates: int) -> None:
+        """Take over the weights in place of the older copy's, once nobody reads it any more. One thread may call it."""
+        with self._older.lock, torch.no_grad():
+            for mine, theirs in zip(self._older.network.parameters(), network.parameters()):
+                mine.copy_(theirs)
+            self._older.updates = updates
+            self._older, self._newer = self._newer, self._older
 
-    def _latent(self, states: np.ndarray, images: np.ndarray) -> LatentGaussian:
-        parts = torch.from_numpy(np.array(images)).split(CHUNK)
-        features = torch.cat([self._network.image_features(part.to(self._device)) for part in parts])
-        return self._network.encode_features(self._tensor(states), features)
-
-    def _tensor(self, values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)).to(self._device)
+    @contextmanager
+    def _reading(self, min_updates: int = 0) -> Iterator[Copy]:
+        """The newer copy, or the older one if that has what is asked for; kept from being replaced meanwhile."""
+        while True:
+            older, newer = self._older, self._newer
+            found = older if 0 < min_updates <= older.updates else newer
+            updates = found.updates
+            with found.lock:
+                if found.updates == updates:
+                    yield found
+                    return
 
     def _check(self, states: np.ndarray, images: np.ndarray) -> None:
-        expected = (*self._network.image_size, 3)
+        expected = (*self._newer.network.image_size, 3)
         if images.dtype != np.uint8 or images.shape[1:] != expected:
             raise ObservationError(
                 f"images are {images.dtype} {images.shape}, the model was built for uint8 (B, *{expected})"

@@ -49,9 +49,12 @@ class TrainerClient:
     def log_std(self, states: np.ndarray, observations: int) -> Optional[np.ndarray]:
         """Log standard deviation (S,) at states (S, 3) in SI units; None while nothing is learned.
 
-        Waits until the trainer is at most max_lag updates behind what so many observations call for.
+        Waits until the trainer is at most max_lag updates behind what is to be awaited with so many observations.
         """
-        updates = max(0, self._config.updates_due(observations) - self._config.training.max_lag)
+        awaited = self._config.updates_awaited(observations)
+        if awaited == 0:
+            return None  # also where the trainer was quick, so that a run can be repeated
+        updates = max(0, awaited - self._config.training.max_lag)
         request = EvaluateEntropyRequest(updates, np.asarray(states).ravel().tolist())
         say_at = time.monotonic() + REPEAT_AFTER
         while True:
