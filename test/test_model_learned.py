@@ -8,7 +8,6 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, ObservationError
-from embodied_active_learning.model import learned
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.session.checkpoints import save_checkpoint, save_model
@@ -134,21 +133,6 @@ def test_images_of_another_size_or_type_are_refused_by_both(model, images, found
         ObservationError, match=rf"images are {found}, the model was trained with uint8 \(N, \*\(45, 48"
     ):
         model.image_features(images)
-
-
-def test_long_streams_are_encoded_in_parts(network, data, monkeypatch):
-    sizes = []
-
-    class Spy(ConditionalVAE):
-        def image_features(self, images):
-            sizes.append(len(images))
-            return super().image_features(images)
-
-    monkeypatch.setattr(learned, "ConditionalVAE", Spy)
-    spied = LearnedModel(CONFIG, network.state_dict())
-    spied.image_features(data[1])
-    assert sum(sizes) == COUNT
-    assert max(sizes) <= 64
 
 
 def open_session(root, **sections):

@@ -6,13 +6,15 @@ from typing import Dict, Tuple
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.inference import fastest_images
 
-_CHUNK = 64
-"""Images at a time, so that what lies between the layers stays small."""
+_PAIRS = 2048
+"""Pairs of image and state at a time, so that the layers' outputs stay in the cache."""
 
 
 class LearnedModel:
@@ -24,6 +26,7 @@ class LearnedModel:
         self.network = ConditionalVAE((config.camera.height, config.camera.width), self._workspace.size, config.model)
         self.network.load_state_dict(weights)
         self.network.eval().requires_grad_(False)
+        self._images, self.runs_on = fastest_images(self.network.image_size, config.model)
 
     @property
     def latent_size(self) -> int:
@@ -40,9 +43,7 @@ class LearnedModel:
             raise ObservationError(
                 f"images are {images.dtype} {images.shape}, the model was trained with uint8 (N, *{expected})"
             )
-        with torch.inference_mode():
-            parts = torch.from_numpy(np.ascontiguousarray(images)).split(_CHUNK)
-            return torch.cat([self.network.image_features(part) for part in parts]).numpy()
+        return self._images.features(self.network, torch.from_numpy(np.ascontiguousarray(images))).numpy()
 
     def encode(self, states: np.ndarray, images: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """q(z | x, y) of N images from N states: mean and standard deviation, (N, L) float32 each."""
@@ -59,23 +60,24 @@ class LearnedModel:
 
         The image's part of the first layer is shared by all states, the states' part by all images.
         """
-        first, rest = self.network.encoder[0], self.network.encoder[1:]
+        first, rest = self.network.encoder[0], self.network.encoder[2:]
         width = features.shape[1]
         with torch.inference_mode():
             of_states = self._normalised(states) @ first.weight[:, width:].T
-            of_images = torch.nn.functional.linear(torch.from_numpy(features), first.weight[:, :width], first.bias)
-            size = max(1, 4096 // max(1, len(of_states)))
-            pairs = [rest((part[:, None] + of_states).flatten(0, 1)) for part in of_images.split(size)]
+            of_images = functional.linear(torch.from_numpy(features), first.weight[:, :width], first.bias)
+            pairs = [
+                rest((part[:, None] + of_states).relu_().flatten(0, 1))
+                for part in of_images.split(max(1, _PAIRS // max(1, len(of_states))))
+            ]
             means = torch.cat(pairs)[:, : self.latent_size]
         return means.reshape(len(features), len(states), self.latent_size).numpy()
 
     def decode(self, latents: np.ndarray, states: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """p(y | z, x) for N latents (N, L): images (N, H, W, 3) float32 in [0, 1] and their standard deviation (N,)."""
-        latents, states = torch.from_numpy(np.ascontiguousarray(latents)), self._normalised(states)
-        with torch.inference_mode():
-            parts = [self.network.decode(*part) for part in zip(latents.split(_CHUNK), states.split(_CHUNK))]
-            images = torch.cat([image for image, _ in parts]).clamp(0.0, 1.0).permute(0, 2, 3, 1)
-            return images.numpy(), torch.cat([log_std for _, log_std in parts]).exp().numpy()
+        log_std, features = self.network.decode_features(
+            torch.from_numpy(np.ascontiguousarray(latents)), self._normalised(states)
+        )
+        return self._images.decode(self.network, features).numpy(), log_std.exp().numpy()
 
     def log_std(self, latents: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Log standard deviation predicted at each of S states from each of N latents (N, L). -> (N, S) float32."""

@@ -1,0 +1,96 @@
+"""Image features and decoded images of a network that is only asked: no gradients, so nothing is kept for them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Tuple, Union
+
+import torch
+
+from embodied_active_learning.config import ModelConfig
+from embodied_active_learning.model.compiler import load_library
+from embodied_active_learning.model.cvae import ConditionalVAE, Size
+from embodied_active_learning.model.kernels import Kernels, pack_weights
+from embodied_active_learning.model.native import NativeImages
+
+CHUNK = 64
+"""Images that torch takes at a time, so that what lies between the layers stays small."""
+
+
+class TorchImages:
+    """What the network itself computes: for machines without a compiler."""
+
+    def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
+        """Images (B, H, W, 3) uint8 -> features (B, F)."""
+        return torch.cat([network.image_features(part) for part in images.split(CHUNK)])
+
+    def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
+        """Features (B, F) -> images (B, H, W, 3), clamped to [0, 1]."""
+        parts = features.unflatten(1, network.feature_shape).split(CHUNK)
+        return torch.cat([network.image_decoder(part) for part in parts]).clamp_(0.0, 1.0).permute(0, 2, 3, 1)
+
+
+class CompiledImages:
+    """The same on the compiled kernels, equal to 1e-5; each thread has room for one group of images, and no more."""
+
+    def __init__(self, native: NativeImages) -> None:
+        """native: for the geometry of the networks that will be asked."""
+        self._native = native
+
+    def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
+        """Images (B, H, W, 3) uint8 -> features (B, F)."""
+        native, kernels, images = self._native, self._native.kernels, images.contiguous()
+        weights = pack_weights(list(network.image_encoder.parameters()))
+        found = torch.empty((-(-len(images) // kernels.lanes), *native.layers[-1].narrow, kernels.lanes))
+
+        def encode(group: int, members: slice) -> None:
+            borrowed = native.borrow(1)
+            sides = [side[0] for side in borrowed[:-1]] + [found[group]]
+            kernels.pack_images(images[members], sides[0])
+            for i, (layer, (packed, _, bias)) in enumerate(zip(native.layers, weights)):
+                kernels.narrow(layer, sides[i], packed, sides[i + 1], bias, relu=i + 1 < len(weights))
+            native.give_back(borrowed)
+
+        native.for_each_group(len(images), encode)
+        return kernels.from_groups(found, len(images))
+
+    def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
+        """Features (B, F) -> images (B, H, W, 3), clamped to [0, 1]."""
+        native, kernels = self._native, self._native.kernels
+        weights = pack_weights(list(network.image_decoder.parameters()))[::-1]
+        channels, *size = native.layers[0].wide
+        inputs, images = kernels.to_groups(features), torch.empty((len(features), *size, channels))
+
+        def decode(group: int, members: slice) -> None:
+            borrowed, shown = native.borrow(1), images[members]
+            sides = [side[0] for side in borrowed[:-1]] + [inputs[group]]
+            for i in reversed(range(len(weights))):
+                layer, (_, packed, bias) = native.layers[i], weights[i]
+                kernels.widen(layer, sides[i + 1], packed, sides[i], bias, relu=i > 0)
+            torch.clamp(sides[0].permute(3, 1, 2, 0)[: len(shown)], 0.0, 1.0, out=shown)
+            native.give_back(borrowed)
+
+        native.for_each_group(len(images), decode)
+        return images
+
+
+InferenceImages = Union[TorchImages, CompiledImages]
+
+
+def fastest_images(image_size: Size, config: ModelConfig) -> Tuple[InferenceImages, str]:
+    """The fastest that this machine has for networks of a geometry, and in words what it runs on and why.
+
+    All networks of that geometry share its threads and its memory: an identification may ask dozens of them.
+    """
+    return _fastest_images(image_size, config, torch.get_num_threads())
+
+
+@lru_cache(maxsize=4)
+def _fastest_images(image_size: Size, config: ModelConfig, threads: int) -> Tuple[InferenceImages, str]:
+    """threads: how many it will have, so that it is made anew when the number was changed."""
+    library, reason = load_library()
+    if library is None:
+        return TorchImages(), f"torch alone, {threads} threads: {reason}"
+    with torch.device("meta"):
+        geometry = ConditionalVAE(image_size, 0, config)  # numbers are not needed, and take a while to be drawn
+    return CompiledImages(NativeImages(geometry, Kernels(library))), f"{reason}, {threads} threads"

@@ -1,0 +1,132 @@
+"""Asked without gradients, torch and the compiled kernels answer what the network answers."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import torch
+
+from embodied_active_learning.config import ModelConfig
+from embodied_active_learning.model import inference
+from embodied_active_learning.model.compiler import load_library
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.inference import CompiledImages, TorchImages, fastest_images
+
+LIBRARY, REASON = load_library()
+needs_compiler = pytest.mark.skipif(LIBRARY is None, reason=REASON)
+GEOMETRIES = [
+    ((45, 45), ModelConfig()),
+    ((44, 61), ModelConfig(channels=(4, 6), kernels=(4, 3), strides=(3, 3))),
+    ((30, 41), ModelConfig(channels=(4,), kernels=(5,), strides=(2,))),
+]
+
+
+@pytest.fixture(autouse=True)
+def _nothing_kept():
+    """What was made for one test, perhaps without a compiler, does not serve another one."""
+    inference._fastest_images.cache_clear()
+    yield
+    inference._fastest_images.cache_clear()
+
+
+def make(image_size, config, count, seed=0):
+    """A network whose colours lie on both sides of 0 and 1, and what to ask it: images and features."""
+    torch.manual_seed(seed)
+    network = ConditionalVAE(image_size, 3, config).requires_grad_(False)
+    network.image_decoder[-1].weight.mul_(30.0)
+    features = 3.0 * torch.randn(count, network.feature_size)
+    return network, torch.randint(0, 256, (count, *image_size, 3), dtype=torch.uint8), features
+
+
+def of_network(network, images, features):
+    decoded = network.image_decoder(features.unflatten(1, network.feature_shape))
+    return network.image_features(images), decoded.clamp(0.0, 1.0).permute(0, 2, 3, 1)
+
+
+def answers(asked, network, images, features):
+    return asked.features(network, images), asked.decode(network, features)
+
+
+def assert_answers(asked, network, images, features):
+    for found, expected in zip(answers(asked, network, images, features), of_network(network, images, features)):
+        torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
+@pytest.mark.parametrize("count", [1, 5, 16, 70])
+def test_torch_alone_answers_what_the_network_does(image_size, config, count):
+    assert_answers(TorchImages(), *make(image_size, config, count))
+
+
+@needs_compiler
+@pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
+@pytest.mark.parametrize("count", [1, 5, 16, 70])
+def test_the_compiled_kernels_answer_what_the_network_does(image_size, config, count):
+    asked, _ = fastest_images(image_size, config)
+    assert isinstance(asked, CompiledImages)
+    asked_of = make(image_size, config, count)
+    assert_answers(asked, *asked_of)
+    decoded = asked.decode(asked_of[0], asked_of[2])
+    assert decoded.min() == 0.0
+    assert decoded.max() == 1.0
+
+
+@needs_compiler
+def test_the_compiled_kernels_take_images_of_the_papers_size():
+    assert_answers(fastest_images((180, 180), ModelConfig())[0], *make((180, 180), ModelConfig(), 20))
+
+
+@needs_compiler
+def test_networks_of_one_geometry_share_threads_and_memory_and_keep_their_own_weights():
+    asked, _ = fastest_images(*GEOMETRIES[0])
+    assert fastest_images(*GEOMETRIES[0])[0] is asked
+    assert fastest_images(*GEOMETRIES[1])[0] is not asked
+    for seed in (0, 1, 0):
+        assert_answers(asked, *make(*GEOMETRIES[0], 20, seed))
+
+
+@needs_compiler
+def test_several_threads_may_ask_at_once():
+    asked, _ = fastest_images(*GEOMETRIES[0])
+    questions = [make(*GEOMETRIES[0], 40, seed) for seed in range(6)]
+    with ThreadPoolExecutor(6) as pool:
+        found = list(pool.map(lambda question: answers(asked, *question), 5 * questions))
+    expected = [answers(asked, *question) for question in questions]
+    for index, both in enumerate(found):
+        assert all(torch.equal(*pair) for pair in zip(both, expected[index % 6]))
+
+
+@needs_compiler
+def test_of_many_images_no_more_than_one_group_for_each_thread_is_in_memory():
+    asked, _ = fastest_images(*GEOMETRIES[0])
+    network, images, features = make(*GEOMETRIES[0], 400)
+    answers(asked, network, images, features)
+    spare = asked._native._spare
+    assert list(spare) == [1]
+    assert len(spare[1]) <= torch.get_num_threads()
+
+
+def test_torch_takes_long_streams_in_parts(monkeypatch):
+    network, images, features = make(*GEOMETRIES[0], 150)
+    sizes = []
+    for part in (network.image_encoder, network.image_decoder):
+        part.register_forward_hook(lambda _, inputs, __: sizes.append(len(inputs[0])))
+    answers(TorchImages(), network, images, features)
+    assert sizes == [64, 64, 22] * 2
+
+
+@needs_compiler
+def test_a_weight_that_is_not_a_number_shows_in_what_is_answered():
+    network, images, features = make(*GEOMETRIES[0], 3)
+    network.image_encoder[0].bias[0] = network.image_decoder[-1].bias[0] = math.nan
+    asked, _ = fastest_images(*GEOMETRIES[0])
+    assert all(answer.isnan().any() for answer in answers(asked, network, images, features))
+
+
+def test_without_a_compiler_torch_answers_and_the_reason_is_told(monkeypatch, tmp_path):
+    monkeypatch.setenv("CC", str(tmp_path / "no-such-compiler"))
+    asked, reason = fastest_images(*GEOMETRIES[0])
+    assert isinstance(asked, TorchImages)
+    assert "no C compiler" in reason
