@@ -124,15 +124,52 @@ def test_at_the_pose_a_measurement_has_the_near_variance_wherever_in_its_cell_it
     assert np.unravel_index(grid.mean.argmax(), grid.mean.shape) == index
 
 
-def test_several_measurements_at_once_are_like_one_after_the_other():
-    random = np.random.default_rng(0)
-    poses = random.uniform((0.3, -0.2, -math.pi), (0.65, 0.2, math.pi), (9, 3))
-    values, weights = random.uniform(0, 1, (2, 9))
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 50), st.integers(0, 2**31 - 1))
+def test_several_measurements_at_once_are_like_one_after_the_other(count, seed):
+    """On the grid and outside of it, fewer and more of them than are taken at a time."""
+    random = np.random.default_rng(seed)
+    poses = random.uniform((0.2, -0.3, -math.pi), (0.75, 0.3, math.pi), (count, 3))
+    values, weights = random.uniform(0, 1, (2, count))
     together, apart = make_grid(), make_grid()
-    together.update(poses, values, weights)
-    measure(apart, *zip(poses, values, weights))
+    together.update(poses, values.astype(np.float32), weights)
+    measure(apart, *zip(poses, values.astype(np.float32), weights))
     np.testing.assert_allclose(together.mean, apart.mean, rtol=1e-12)
     np.testing.assert_allclose(together.std, apart.std, rtol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 2**31 - 1))
+def test_what_many_measurements_add_is_the_sum_of_what_each_tells_each_cell(count, seed):
+    random = np.random.default_rng(seed)
+    poses = random.uniform((0.2, -0.3, -math.pi), (0.75, 0.3, math.pi), (count, 3))
+    values, weights = random.uniform(0, 1, (2, count))
+    grid = make_grid()
+    information = np.full(grid.mean.shape, 0.5)
+    weighted = 0.5 * information
+    for pose, value, weight in zip(poses, values, weights):
+        told = weight * plain_information(grid, pose)
+        information += told
+        weighted += told * value
+    grid.update(poses, values, weights)
+    np.testing.assert_allclose(grid.mean, weighted / information, rtol=1e-12)
+    np.testing.assert_allclose(grid.std, 1.0 / np.sqrt(information), rtol=1e-12)
+
+
+def plain_information(grid, pose):
+    """1 / r of the docstring of update, for one pose and the full grid."""
+    inside = abs(pose[0] - 0.475) <= 0.1725 and abs(pose[1]) <= 0.1725
+    footprint = np.ones(grid.mean.shape)
+    scales = ((grid.x, SETTINGS.kernel_std), (grid.y, SETTINGS.kernel_std), (grid.yaw, SETTINGS.kernel_yaw_std))
+    for axis, (middles, std) in enumerate(scales):
+        away = middles - pose[axis]
+        if axis == 2:
+            away = np.arctan2(np.sin(away), np.cos(away))
+        energy = 0.5 * (away / std) ** 2
+        along = np.exp(energy.min() * inside - energy)
+        footprint = footprint * np.expand_dims(along, [other for other in range(3) if other != axis])
+    far = SETTINGS.near_variance / SETTINGS.far_pull
+    return 1.0 / (far + footprint * (SETTINGS.near_variance - far))
 
 
 @settings(max_examples=25, deadline=None)

@@ -6,6 +6,7 @@ import math
 from typing import List, NamedTuple, Tuple
 
 import numpy as np
+import torch
 from scipy.ndimage import maximum_filter
 
 from embodied_active_learning.config import IdentificationConfig
@@ -14,6 +15,8 @@ from embodied_active_learning.workspace import Workspace
 
 _PRIOR_MEAN = 0.5
 _PRIOR_VARIANCE = 2.0
+_BATCH = 16
+"""Measurements that are laid over the grid at a time: few enough to stay in the cache."""
 
 
 class Peak(NamedTuple):
@@ -64,19 +67,20 @@ class BeliefGrid:
         """
         settings = self._settings
         ratio = 1.0 / settings.far_pull
-        for pose, value, weight in zip(poses, values, weights):
-            # The cell next to a pose on the grid takes the measurement in full, wherever in the cell the pose lies.
-            full = self._covers(pose)
-            along_x = _footprint(self.x - pose[0], settings.kernel_std, full)
-            along_y = _footprint(self.y - pose[1], settings.kernel_std, full)
-            along_yaw = _footprint(wrap(self.yaw - pose[2]), settings.kernel_yaw_std, full)
-            plane = (1.0 - ratio) * np.multiply.outer(along_x, along_y)
-            information = np.multiply.outer(plane, along_yaw)
-            information += ratio
-            np.divide(weight / settings.near_variance, information, out=information)
-            self._information += information
-            information *= value
-            self._weighted += information
+        # The cell next to a pose on the grid takes the measurement in full, wherever in the cell the pose lies.
+        full = self._covers(poses)
+        along_x = torch.from_numpy(_footprints(self.x - poses[:, :1], settings.kernel_std, full))
+        along_y = torch.from_numpy(_footprints(self.y - poses[:, 1:2], settings.kernel_std, full))
+        along_yaw = torch.from_numpy(_footprints(wrap(self.yaw - poses[:, 2:]), settings.kernel_yaw_std, full))
+        shares = torch.from_numpy(np.stack([weights, weights * values]) / settings.near_variance)
+        sums = torch.zeros((2, self._information.size), dtype=torch.float64)
+        for begin in range(0, len(poses), _BATCH):
+            part = slice(begin, begin + _BATCH)
+            plane = (1.0 - ratio) * along_x[part, :, None] * along_y[part, None, :]
+            variances = (plane.flatten(1)[..., None] * along_yaw[part, None, :]).add_(ratio)  # 1 is near_variance
+            sums.addmm_(shares[:, part], variances.reciprocal_().flatten(1))
+        self._information += sums[0].numpy().reshape(self._information.shape)
+        self._weighted += sums[1].numpy().reshape(self._information.shape)
 
     def over_yaw(self) -> Tuple[np.ndarray, np.ndarray]:
         """Largest mean over yaw at each place, and the standard deviation there. -> (nx, ny), (nx, ny)."""
@@ -114,8 +118,10 @@ class BeliefGrid:
         top = np.flatnonzero((mean >= np.roll(mean, 1)) & (mean > np.roll(mean, -1)))
         return [float(self.yaw[index]) for index in top[np.argsort(-mean[top], kind="stable")][:most]] or [pose[2]]
 
-    def _covers(self, pose: np.ndarray) -> bool:
-        return bool(self.x[0] <= pose[0] <= self.x[-1] and self.y[0] <= pose[1] <= self.y[-1])
+    def _covers(self, poses: np.ndarray) -> np.ndarray:
+        """(N,) which of the poses (N, 3) lie on the grid."""
+        x, y = poses[:, 0], poses[:, 1]
+        return (self.x[0] <= x) & (x <= self.x[-1]) & (self.y[0] <= y) & (y <= self.y[-1])
 
 
 class EvidenceWeights:
@@ -143,7 +149,7 @@ class EvidenceWeights:
         return weights
 
 
-def _footprint(away: np.ndarray, std: float, full: bool) -> np.ndarray:
-    """A Gaussian of distances (C,) along one axis; full: its largest value is made 1."""
+def _footprints(away: np.ndarray, std: float, full: np.ndarray) -> np.ndarray:
+    """Gaussians of distances (N, C) along one axis; full (N,): where the largest value is made 1."""
     energy = 0.5 * np.square(away / std)
-    return np.exp(energy.min() - energy) if full else np.exp(-energy)
+    return np.exp(np.where(full, energy.min(axis=1), 0.0)[:, None] - energy)
