@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import metres_per_pixel, move, pose_distance, table_grid, table_points, wrap
+from embodied_active_learning.geometry import metres_per_pixel, move, pixels_of, pose_distance, table_points, wrap
 from embodied_active_learning.simulation.scene import Scene, intrinsics, optical_rotation
 from embodied_active_learning.simulation.world import load_world
 from embodied_active_learning.workspace import Workspace
@@ -45,6 +45,21 @@ def test_point_of_a_pixel_is_projected_back_to_that_pixel(camera, state, row, co
     assert project(point, state, camera) == pytest.approx((row, column), abs=1e-6)
 
 
+@pytest.mark.parametrize("camera", CAMERAS)
+@given(POSES, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_pixel_of_a_point_is_where_the_camera_matrix_projects_it(camera, state, x, y):
+    point = np.add(state[:2], (x, y))
+    assert pixels_of(state, point, camera) == pytest.approx(project(point, state, camera), abs=1e-6)
+
+
+def test_pixels_of_one_point_or_of_many_are_found_for_many_states():
+    states, points = np.random.default_rng(0).uniform(-0.5, 0.5, (7, 3)), np.random.default_rng(1).random((7, 2))
+    for index, state in enumerate(states):
+        one, many = pixels_of(states, points[0], CAMERAS[1]), pixels_of(states, points, CAMERAS[1])
+        assert (one[0][index], one[1][index]) == pytest.approx(project(points[0], state, CAMERAS[1]))
+        assert (many[0][index], many[1][index]) == pytest.approx(project(points[index], state, CAMERAS[1]))
+
+
 def test_pixel_size_is_the_distance_between_the_points_of_neighbours():
     for camera in CAMERAS:
         points = table_points(np.array([0.4, 0.1, 0.7]), np.array([3, 3, 4]), np.array([5, 6, 5]), camera)
@@ -63,24 +78,15 @@ def test_a_small_object_is_in_the_pixel_whose_point_it_stands_on(tmp_path):
     scene = Scene(load_world(str(world), Workspace()), camera)
     try:
         states = np.array([[0.475, 0.0, 0.0], [0.47, 0.01, 1.3], [0.52, -0.03, -2.0], [0.46, 0.015, 3.0]])
-        grid = table_grid(states, camera)
-        assert grid.shape == (4, 120, 201, 2)
-        for state, points in zip(states, grid):
+        for state in states:
+            points = table_points(state, *np.mgrid[0:120, 0:201], camera)
+            assert points.shape == (120, 201, 2)
             shown = np.any(scene.render(state) != (0, 0, 255), axis=2)
             assert 30 < shown.sum() < 2000
             middle = (points[shown].min(axis=0) + points[shown].max(axis=0)) / 2.0
             np.testing.assert_allclose(middle, scene.objects[0].centre, atol=0.003)
     finally:
         scene.close()
-
-
-def test_grid_holds_the_point_of_every_pixel():
-    camera, states = CameraConfig(width=9, height=8), np.array([[0.4, 0.1, 0.7], [0.5, -0.1, -1.9]])
-    grid = table_grid(states, camera)
-    for index, state in enumerate(states):
-        for row, column in ((0, 0), (7, 0), (0, 8), (3, 5)):
-            expected = table_points(state, np.array(row), np.array(column), camera)
-            np.testing.assert_allclose(grid[index, row, column], expected, atol=1e-12)
 
 
 @given(st.floats(-100.0, 100.0))

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config, IdentificationConfig
-from embodied_active_learning.geometry import move
+from embodied_active_learning.geometry import move, table_points
 from embodied_active_learning.objects.verification import Comparison, Verifier
 from painted_table import PaintedModel, Thing, learn, paint
 
@@ -162,6 +164,29 @@ def test_of_many_views_the_nearest_are_compared():
     assert len(every.views) == 40
     expected = dict(zip(every.views, every.mismatch))
     np.testing.assert_allclose(some.mismatch, [expected[view] for view in some.views], atol=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0.005, 0.045, 0.08])
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31 - 1))
+def test_compared_are_the_pixels_that_show_the_table_within_the_radius(radius, seed):
+    """By a point of the table for every pixel, in double precision; discs reach over the images' borders."""
+    random, camera = np.random.default_rng(seed), LEARNED.config.camera
+    rule = replace(SETTINGS, features="pixels", object_radius=radius, view_distance=0.09)
+    fingerprint = LEARNED.fingerprints[0]
+    states = PLACE + random.uniform((-0.06, -0.06, -0.5), (0.06, 0.06, 0.5), (12, 3))
+    images = random.integers(0, 256, (12, 45, 45, 3), dtype=np.uint8)
+    # One view twice: its own error is 0, and it is what each image is compared with.
+    arrays = ("states", "images", "latent_means", "latent_stds")
+    only = replace(fingerprint, **{name: getattr(fingerprint, name)[[7, 7]] for name in arrays})
+    found = Verifier(None, only, LEARNED.config, rule).compare(PLACE, states, images)
+    assert len(found.views) > 0
+    for view, mismatch in zip(found.views, found.mismatch):
+        points = table_points(states[view], *np.mgrid[0:45, 0:45], camera)
+        inside = np.linalg.norm(points - PLACE[:2], axis=2) < radius
+        difference = (images[view] / 255.0 - only.images[0] / 255.0)[inside]
+        expected = math.sqrt(np.square(difference).mean()) if inside.any() else 0.0
+        assert mismatch == pytest.approx(expected, abs=1e-6)
 
 
 def test_mismatch_is_by_how_much_the_error_is_larger():

@@ -38,10 +38,16 @@ def table_points(states: np.ndarray, rows: np.ndarray, columns: np.ndarray, came
     return np.stack((x, y), axis=-1)
 
 
-def table_grid(states: np.ndarray, camera: CameraConfig) -> np.ndarray:
-    """The point of the table that every pixel shows, (N, H, W, 2) [m], from states (N, 3)."""
-    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
-    return table_points(states[:, None, None, :], rows, columns, camera)
+def pixels_of(states: np.ndarray, point: np.ndarray, camera: CameraConfig) -> Tuple[np.ndarray, np.ndarray]:
+    """Row and column (...) at which camera states (..., 3) show a point of the table, (2,) or (..., 2) [m].
+
+    Fractions of a pixel count, and so do pixels outside of the image: the inverse of table_points.
+    """
+    dx, dy = np.asarray(point)[..., 0] - states[..., 0], np.asarray(point)[..., 1] - states[..., 1]
+    cosine, sine = np.cos(states[..., 2]), np.sin(states[..., 2])
+    pixel = metres_per_pixel(camera)
+    right, down = cosine * dx + sine * dy, sine * dx - cosine * dy
+    return down / pixel + (camera.height - 1) / 2.0, right / pixel + (camera.width - 1) / 2.0
 
 
 def move(poses: np.ndarray, origin: np.ndarray, goal: np.ndarray) -> np.ndarray:

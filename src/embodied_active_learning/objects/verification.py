@@ -8,12 +8,14 @@ table it reproduces too well.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import List, NamedTuple, Sequence
 
 import numpy as np
 
-from embodied_active_learning.config import Config, IdentificationConfig
-from embodied_active_learning.geometry import move, pose_distance, table_grid
+from embodied_active_learning.config import CameraConfig, Config, IdentificationConfig
+from embodied_active_learning.geometry import metres_per_pixel, move, pixels_of, pose_distance
 from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 
@@ -47,8 +49,7 @@ class Verifier:
         self._workspace = trained.workspace.box()
         self._settings = settings
         self._by_pixels = settings.features == "pixels"
-        own = fingerprint.states, fingerprint.states, fingerprint.images, fingerprint.centre
-        self._own = float(np.median(self._errors(*own, itself=True)))
+        self._own = float(np.median(self._own_errors()))
 
     def views(self, candidate: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Which of the images from states (N, 3) show a candidate pose (3,) [m, m, rad]: their indices (V,).
@@ -67,41 +68,80 @@ class Verifier:
         if not len(views):
             return Comparison(views, np.empty(0))
         stored = move(states[views], candidate, self._fingerprint.centre)
-        errors = self._errors(stored, states[views], images[views], candidate)
+        discs = self._discs(states[views], candidate)
+        errors = self._errors(stored, images[views], discs)
         return Comparison(views, errors - self._own)
 
-    def _errors(
-        self, stored: np.ndarray, states: np.ndarray, images: np.ndarray, centre: np.ndarray, itself: bool = False
-    ) -> np.ndarray:
-        """(V,) how badly each image is explained, grey levels of 1.
-
-        stored: (V, 3) where the camera would be over the fingerprint's object; states: (V, 3) where it is over the
-        candidate, whose centre is given. itself: the images are the fingerprint's own.
-        """
-        on_object = self._on_object(states, centre)
+    def _own_errors(self) -> np.ndarray:
+        """(V,) how badly each of the fingerprint's own views is explained; its latents are stored with it."""
+        own = self._fingerprint
+        discs = self._discs(own.states, own.centre)
         if self._by_pixels:
-            return _rms(images / 255.0 - self._nearest_views(stored, itself), on_object)
+            return _rms(own.images, self._nearest_views(own.states, itself=True), discs)
+        return self._decoded_errors(own.latent_means, own.states, own.images, discs)
+
+    def _errors(self, stored: np.ndarray, images: np.ndarray, discs: Sequence[_Disc]) -> np.ndarray:
+        """(V,) how badly each image is explained, grey levels of 1, within its disc.
+
+        stored: (V, 3) where the camera would be over the fingerprint's object.
+        """
+        if self._by_pixels:
+            return _rms(images, self._nearest_views(stored), discs)
         latents, _ = self._model.encode(stored, images)
+        return self._decoded_errors(latents, stored, images, discs)
+
+    def _decoded_errors(
+        self, latents: np.ndarray, stored: np.ndarray, images: np.ndarray, discs: Sequence[_Disc]
+    ) -> np.ndarray:
         predicted, std = self._model.decode(latents, stored)
-        error = _rms(images / 255.0 - predicted, on_object)
+        error = _rms(images, predicted, discs)
         # The predicted standard deviation is that of the whole image, and around a blank place there may be anything.
         return error if self._fingerprint.kind == BLANK else error + std
 
-    def _nearest_views(self, stored: np.ndarray, itself: bool) -> np.ndarray:
+    def _nearest_views(self, stored: np.ndarray, itself: bool = False) -> np.ndarray:
         """The fingerprint's images (V, H, W, 3) in [0, 1] from next to each pose; never the same view as itself."""
         distance, turn = pose_distance(stored[:, None], self._fingerprint.states)
         away = np.square(distance / _NEAR[0]) + np.square(turn / _NEAR[1])
         if itself:
             np.fill_diagonal(away, np.inf)
-        return self._fingerprint.images[away.argmin(axis=1)] / 255.0
+        return np.divide(self._fingerprint.images[away.argmin(axis=1)], 255.0, dtype=np.float32)
 
-    def _on_object(self, states: np.ndarray, centre: np.ndarray) -> np.ndarray:
-        """(V, H, W) whether a pixel shows the table within the object's radius of its centre."""
-        away = np.linalg.norm(table_grid(states, self._camera) - np.asarray(centre)[:2], axis=-1)
-        return away < self._settings.object_radius
+    def _discs(self, states: np.ndarray, centre: np.ndarray) -> List[_Disc]:
+        """For each state (V, 3), where its image shows the table within the object's radius of a centre."""
+        radius = self._settings.object_radius / metres_per_pixel(self._camera)
+        middles = zip(*pixels_of(states, centre, self._camera))
+        return [_disc(row, column, radius, self._camera) for row, column in middles]
 
 
-def _rms(difference: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Root mean square (V,) of differences (V, H, W, 3) over masked pixels (V, H, W)."""
-    squares = np.square(difference).mean(axis=3) * mask
-    return np.sqrt(squares.sum(axis=(1, 2)) / np.maximum(mask.sum(axis=(1, 2)), 1))
+class _Disc(NamedTuple):
+    """The pixels of an image within a radius of a point: a window, and which of its pixels they are."""
+
+    rows: slice
+    columns: slice
+    inside: np.ndarray  # (h, w) bool
+
+
+def _disc(row: float, column: float, radius: float, camera: CameraConfig) -> _Disc:
+    """All in pixels; what lies outside of the image is left out."""
+    rows, columns = _window(row, radius, camera.height), _window(column, radius, camera.width)
+    down, right = np.arange(camera.height)[rows, None] - row, np.arange(camera.width)[columns] - column
+    return _Disc(rows, columns, np.square(down) + np.square(right) < radius**2)
+
+
+def _window(middle: float, radius: float, length: int) -> slice:
+    begin = min(max(math.ceil(middle - radius), 0), length)
+    return slice(begin, max(begin, math.floor(middle + radius) + 1))
+
+
+def _rms(images: np.ndarray, predicted: np.ndarray, discs: Sequence[_Disc]) -> np.ndarray:
+    """Root mean square (V,) of images (V, H, W, 3) uint8 less predicted ones in [0, 1], over discs; 0 over none.
+
+    In single precision but for the sum: to 1e-6.
+    """
+    errors = np.zeros(len(images))
+    for index, (rows, columns, inside) in enumerate(discs):
+        difference = np.divide(images[index, rows, columns], 255.0, dtype=np.float32)
+        difference -= predicted[index, rows, columns]
+        squares = np.einsum("ijc,ijc->ij", difference, difference)[inside]
+        errors[index] = squares.sum(dtype=np.float64) / (images.shape[3] * max(len(squares), 1))
+    return np.sqrt(errors)
