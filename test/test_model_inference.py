@@ -64,7 +64,7 @@ def test_torch_alone_answers_what_the_network_does(image_size, config, count):
 @pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
 @pytest.mark.parametrize("count", [1, 5, 16, 70])
 def test_the_compiled_kernels_answer_what_the_network_does(image_size, config, count):
-    asked, _ = fastest_images(image_size, config)
+    asked = fastest_images(image_size, config)
     assert isinstance(asked, CompiledImages)
     asked_of = make(image_size, config, count)
     assert_answers(asked, *asked_of)
@@ -75,21 +75,21 @@ def test_the_compiled_kernels_answer_what_the_network_does(image_size, config, c
 
 @needs_compiler
 def test_the_compiled_kernels_take_images_of_the_papers_size():
-    assert_answers(fastest_images((180, 180), ModelConfig())[0], *make((180, 180), ModelConfig(), 20))
+    assert_answers(fastest_images((180, 180), ModelConfig()), *make((180, 180), ModelConfig(), 20))
 
 
 @needs_compiler
 def test_networks_of_one_geometry_share_threads_and_memory_and_keep_their_own_weights():
-    asked, _ = fastest_images(*GEOMETRIES[0])
-    assert fastest_images(*GEOMETRIES[0])[0] is asked
-    assert fastest_images(*GEOMETRIES[1])[0] is not asked
+    asked = fastest_images(*GEOMETRIES[0])
+    assert fastest_images(*GEOMETRIES[0]) is asked
+    assert fastest_images(*GEOMETRIES[1]) is not asked
     for seed in (0, 1, 0):
         assert_answers(asked, *make(*GEOMETRIES[0], 20, seed))
 
 
 @needs_compiler
 def test_several_threads_may_ask_at_once():
-    asked, _ = fastest_images(*GEOMETRIES[0])
+    asked = fastest_images(*GEOMETRIES[0])
     questions = [make(*GEOMETRIES[0], 40, seed) for seed in range(6)]
     with ThreadPoolExecutor(6) as pool:
         found = list(pool.map(lambda question: answers(asked, *question), 5 * questions))
@@ -100,7 +100,7 @@ def test_several_threads_may_ask_at_once():
 
 @needs_compiler
 def test_of_many_images_no_more_than_one_group_for_each_thread_is_in_memory():
-    asked, _ = fastest_images(*GEOMETRIES[0])
+    asked = fastest_images(*GEOMETRIES[0])
     network, images, features = make(*GEOMETRIES[0], 400)
     answers(asked, network, images, features)
     spare = asked._native._spare
@@ -121,12 +121,22 @@ def test_torch_takes_long_streams_in_parts(monkeypatch):
 def test_a_weight_that_is_not_a_number_shows_in_what_is_answered():
     network, images, features = make(*GEOMETRIES[0], 3)
     network.image_encoder[0].bias[0] = network.image_decoder[-1].bias[0] = math.nan
-    asked, _ = fastest_images(*GEOMETRIES[0])
+    asked = fastest_images(*GEOMETRIES[0])
     assert all(answer.isnan().any() for answer in answers(asked, network, images, features))
 
 
-def test_without_a_compiler_torch_answers_and_the_reason_is_told(monkeypatch, tmp_path):
+def test_without_a_compiler_torch_answers(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", str(tmp_path / "no-such-compiler"))
-    asked, reason = fastest_images(*GEOMETRIES[0])
-    assert isinstance(asked, TorchImages)
-    assert "no C compiler" in reason
+    assert isinstance(fastest_images(*GEOMETRIES[0]), TorchImages)
+
+
+@needs_compiler
+def test_another_number_of_threads_is_taken_over():
+    before = torch.get_num_threads()
+    first = fastest_images(*GEOMETRIES[0])
+    try:
+        torch.set_num_threads(before + 1)
+        assert fastest_images(*GEOMETRIES[0])._native.threads == before + 1
+    finally:
+        torch.set_num_threads(before)
+    assert fastest_images(*GEOMETRIES[0]) is first

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Tuple, Union
+from typing import Union
 
 import torch
 
@@ -77,8 +77,8 @@ class CompiledImages:
 InferenceImages = Union[TorchImages, CompiledImages]
 
 
-def fastest_images(image_size: Size, config: ModelConfig) -> Tuple[InferenceImages, str]:
-    """The fastest that this machine has for networks of a geometry, and in words what it runs on and why.
+def fastest_images(image_size: Size, config: ModelConfig) -> InferenceImages:
+    """The fastest that this machine has for networks of a geometry; load_library tells what that is, and why.
 
     All networks of that geometry share its threads and its memory: an identification may ask dozens of them.
     """
@@ -86,11 +86,11 @@ def fastest_images(image_size: Size, config: ModelConfig) -> Tuple[InferenceImag
 
 
 @lru_cache(maxsize=4)
-def _fastest_images(image_size: Size, config: ModelConfig, threads: int) -> Tuple[InferenceImages, str]:
-    """threads: how many it will have, so that it is made anew when the number was changed."""
-    library, reason = load_library()
+def _fastest_images(image_size: Size, config: ModelConfig, _threads: int) -> InferenceImages:
+    """_threads: how many it will take from torch; when that number was changed, it is made anew."""
+    library, _ = load_library()
     if library is None:
-        return TorchImages(), f"torch alone, {threads} threads: {reason}"
+        return TorchImages()
     with torch.device("meta"):
         geometry = ConditionalVAE(image_size, 0, config)  # numbers are not needed, and take a while to be drawn
-    return CompiledImages(NativeImages(geometry, Kernels(library))), f"{reason}, {threads} threads"
+    return CompiledImages(NativeImages(geometry, Kernels(library)))

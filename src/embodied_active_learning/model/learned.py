@@ -26,7 +26,7 @@ class LearnedModel:
         self.network = ConditionalVAE((config.camera.height, config.camera.width), self._workspace.size, config.model)
         self.network.load_state_dict(weights)
         self.network.eval().requires_grad_(False)
-        self._images, self.runs_on = fastest_images(self.network.image_size, config.model)
+        self._images = fastest_images(self.network.image_size, config.model)
 
     @property
     def latent_size(self) -> int:

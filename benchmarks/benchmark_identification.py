@@ -1,0 +1,229 @@
+#!/usr/bin/env python3
+"""Times identification: images a second against the plain way, and sixty fingerprints of twenty models.
+
+Models have random weights, views and images are noise, all in the paper's sizes: speed does not depend on them.
+The fast and the plain way take turns in one process: other load on the machine meets both alike. Trust the ratio first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Callable, Dict, List, NamedTuple, Tuple
+
+import numpy as np
+import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+
+from embodied_active_learning.config import Config, IdentificationConfig
+from embodied_active_learning.geometry import move, wrap
+from embodied_active_learning.model.compiler import load_library
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
+from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.objects.matching import Matcher
+from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
+from embodied_active_learning.session.session import Session
+
+CENTRES = ((0.42, -0.06, 0.3), (0.55, 0.05, -0.5), (0.40, 0.08, 0.0))  # m, m, rad; the last one is the blank's
+VIEWS = 50
+FULL_STREAM = 2000  # images
+STREAM_PART = 64  # images that the identifier takes at a time
+PLAIN_PART = 4
+
+# Noise raises no belief. Here each of a fingerprint's twelve candidates counts as raised and pointed to, has as many
+# views as are compared at most, also in a short stream, and is settled at its first yaw: twelve comparisons for each
+# fingerprint. In the simulator's streams there were about six.
+SETTINGS = IdentificationConfig(min_rise=0.0, min_agreement=0.0, view_distance=0.2)
+
+
+class Stream(NamedTuple):
+    """Images (N, H, W, 3) uint8 and where they were taken, states (N, 3) [m, m, rad]."""
+
+    states: np.ndarray
+    images: np.ndarray
+
+    def part(self, begin: int, end: int) -> Stream:
+        """Those from one index to the next."""
+        return Stream(self.states[begin:end], self.images[begin:end])
+
+
+class PlainIdentification:
+    """The plain way: each image through the whole network once for each stored view, then through every grid cell."""
+
+    def __init__(self, found: FingerprintSet) -> None:
+        config, workspace = found.config, found.config.workspace.box()
+        self._workspace = workspace
+        self.network = ConditionalVAE((config.camera.height, config.camera.width), workspace.size, config.model)
+        self.network.load_state_dict(found.weights)
+        self.network.eval().requires_grad_(False)
+        self._fingerprints = found.fingerprints
+        self._matcher = Matcher(LearnedModel(config, found.weights), found.fingerprints, SETTINGS)
+        self._weights = EvidenceWeights(SETTINGS)
+        self._axes = BeliefGrid(workspace, SETTINGS)
+        prior = np.full(SETTINGS.cells, 0.5)  # information, 1 / variance
+        self._sums = [(prior.copy(), 0.5 * prior) for _ in found.fingerprints]
+
+    def observe(self, states: np.ndarray, images: np.ndarray) -> None:
+        """Take the next images of the stream."""
+        for state, image, weight in zip(states, images, self._weights.of(states)):
+            for index, item in enumerate(self._fingerprints):
+                distances = np.linalg.norm(self._latents(item.states, image) - item.latent_means, axis=1)
+                view = int(distances.argmin())
+                pose = move(item.centre, item.states[view], state)
+                self._update(index, pose, float(self._matcher.value(distances[view])), weight)
+
+    def mean(self, index: int) -> np.ndarray:
+        """Belief (nx, ny, nyaw) of a fingerprint."""
+        information, weighted = self._sums[index]
+        return weighted / information
+
+    def _latents(self, states: np.ndarray, image: np.ndarray) -> np.ndarray:
+        with torch.inference_mode():
+            normalised = torch.from_numpy(self._workspace.normalise(states).astype(np.float32))
+            repeated = torch.from_numpy(image).expand(len(states), *image.shape)
+            return self.network.encode(normalised, repeated).mean.numpy()
+
+    def _update(self, index: int, pose: np.ndarray, value: float, weight: float) -> None:
+        grid, (information, weighted) = self._axes, self._sums[index]
+        full = grid.x[0] <= pose[0] <= grid.x[-1] and grid.y[0] <= pose[1] <= grid.y[-1]
+        scales = (SETTINGS.kernel_std, SETTINGS.kernel_std, SETTINGS.kernel_yaw_std)
+        away = (grid.x - pose[0], grid.y - pose[1], wrap(grid.yaw - pose[2]))
+        energies = [0.5 * np.square(distance / std) for distance, std in zip(away, scales)]
+        along = [np.exp(full * energy.min() - energy) for energy in energies]
+        footprint = np.multiply.outer(np.multiply.outer(along[0], along[1]), along[2])
+        far = SETTINGS.near_variance / SETTINGS.far_pull
+        told = weight / (far + footprint * (SETTINGS.near_variance - far))
+        information += told
+        weighted += told * value
+
+
+def make_stream(config: Config, count: int, seed: int = 0) -> Stream:
+    """Noise, seen from all over the workspace."""
+    random, box = np.random.default_rng(seed), config.workspace.box()
+    shape = (count, config.camera.height, config.camera.width, 3)
+    return Stream(random.uniform(box.lower, box.upper, (count, 3)), random.integers(0, 256, shape, dtype=np.uint8))
+
+
+def make_set(config: Config, seed: int = 0) -> FingerprintSet:
+    """A random model, and noise as the views of two objects and of a blank place."""
+    torch.manual_seed(seed)
+    weights = ConditionalVAE((config.camera.height, config.camera.width), 3, config.model).state_dict()
+    model, random, fingerprints = LearnedModel(config, weights), np.random.default_rng(seed), []
+    for number, centre in enumerate(CENTRES):
+        states = config.workspace.box().clip(random.normal(centre, (0.01, 0.01, 0.8), (VIEWS, 3)))
+        images = make_stream(config, VIEWS, seed + number + 1).images
+        kind = BLANK if number == len(CENTRES) - 1 else OBJECT
+        name, latents = f"{kind}-{number + 1}", model.encode(states, images)
+        fingerprints.append(Fingerprint(name, kind, np.array(centre), states, images, *latents, 0.0))
+    return FingerprintSet(config.session.name, 9000, 3000, "2026-11-22T12:45:00Z", config, weights, tuple(fingerprints))
+
+
+def make_identification(sets: List[FingerprintSet]) -> Identification:
+    """Looks for all fingerprints of the sets."""
+    config = sets[0].config
+    return Identification(sets, config.workspace.box(), config.camera, SETTINGS)
+
+
+def compare_rates(config: Config, rounds: int) -> None:
+    """Print images a second for three fingerprints of one model, fast and plain, and how far their beliefs differ."""
+    found = make_set(config)
+    fast, plain = make_identification([found]), PlainIdentification(found)
+    stream = make_stream(config, (rounds + 1) * STREAM_PART)
+    rates: Dict[str, List[float]] = {"fast": [], "plain": []}
+    for index in range(rounds + 1):
+        part = stream.part(index * STREAM_PART, (index + 1) * STREAM_PART)
+        rates["fast"].append(_rate(fast.observe, part))
+        rates["plain"].append(_rate(plain.observe, part.part(0, PLAIN_PART)))
+    print(f"\nThree fingerprints of one model, {VIEWS} views each, {rounds} rounds: images a second")
+    for name, found_rates in rates.items():
+        counted = found_rates[1:]  # the first round warms up
+        print(f"  {name:<8}{statistics.median(counted):>10.1f}  ({min(counted):.1f} to {max(counted):.1f})")
+    ratio = statistics.median(one / other for one, other in zip(rates["fast"][1:], rates["plain"][1:]))
+    print(f"  ratio   {ratio:>10.1f}")
+    print(f"  largest difference of the beliefs after the same {PLAIN_PART} images: {_difference(found, stream):.1e}")
+
+
+def time_many(config: Config, models: int, images: int) -> None:
+    """Print what three fingerprints of each of many models cost, from their files to the decisions."""
+    times: Dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as root:
+        folder = _store_set(replace(config, session=replace(config.session, root=root)))
+        # Read once for each model: the same numbers in memory of their own.
+        sets, times["reading the files"] = _timed(
+            lambda: [replace(load_fingerprints(folder), session=f"session-{index}") for index in range(models)]
+        )
+    looking, times["construction"] = _timed(lambda: make_identification(sets))
+    stream = make_stream(config, images)
+    _, observing = _timed(lambda: _observe(looking, stream))
+    decisions, times["deciding"] = _timed(lambda: looking.decide(*stream))
+    fixed = sum(times.values())
+    print(f"\n{len(looking.sought)} fingerprints of {models} models, {images} images, {len(decisions)} decisions")
+    for name, seconds in times.items():
+        print(f"  {name:<20}{seconds:>9.2f} s")
+    print(f"  {'images':<20}{observing:>9.2f} s   {1e3 * observing / images:.2f} ms an image")
+    print(f"  {'whole':<20}{fixed + observing:>9.2f} s")
+    if images != FULL_STREAM:
+        total = fixed + observing * FULL_STREAM / images
+        print(f"  {'extrapolated':<20}{total:>9.2f} s   for {FULL_STREAM} images; --images {FULL_STREAM} measures it")
+    print(f"  {'most memory':<20}{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:>9.2f} GiB")
+
+
+def _observe(looking: Identification, stream: Stream) -> None:
+    """In the parts in which the identifier takes a stream."""
+    for begin in range(0, len(stream.states), STREAM_PART):
+        looking.observe(*stream.part(begin, begin + STREAM_PART))
+
+
+def _store_set(config: Config) -> Path:
+    """A session with fingerprints and nothing else -> its folder."""
+    with Session.open_for_writing(config) as session:
+        save_fingerprints(session.paths.path, make_set(config))
+        return session.paths.path
+
+
+def _difference(found: FingerprintSet, stream: Stream) -> float:
+    fast, plain = make_identification([found]), PlainIdentification(found)
+    for one in (fast, plain):
+        one.observe(*stream.part(0, PLAIN_PART))
+    return max(float(np.abs(item.grid.mean - plain.mean(index)).max()) for index, item in enumerate(fast.sought))
+
+
+def _rate(observe: Callable[[np.ndarray, np.ndarray], None], stream: Stream) -> float:
+    _, seconds = _timed(lambda: observe(*stream))
+    return len(stream.states) / seconds
+
+
+def _timed(call: Callable[[], object]) -> Tuple[object, float]:
+    """What a call gives, and how long it took [s]."""
+    begin = time.perf_counter()
+    return call(), time.perf_counter() - begin
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads; 0 takes every core")
+    parser.add_argument("--rounds", type=int, default=8, help="turns of the fast and the plain way")
+    parser.add_argument("--models", type=int, default=20, help="models of three fingerprints each")
+    parser.add_argument("--images", type=int, default=200, help="images that are looked at for all of them")
+    arguments = parser.parse_args()
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    config = Config.from_dict({"session": {"name": "benchmark"}})
+    print(f"torch {torch.__version__}, {torch.get_num_threads()} threads; {load_library()[1]}")
+    compare_rates(config, arguments.rounds)
+    time_many(config, arguments.models, arguments.images)
+
+
+if __name__ == "__main__":
+    main()
