@@ -32,7 +32,7 @@ def _nothing_kept():
 
 
 def make(image_size, config, count, seed=0):
-    """A network whose colours lie on both sides of 0 and 1, and what to ask it: images and features."""
+    """A network of strong colours, and what to ask it: images and features."""
     torch.manual_seed(seed)
     network = ConditionalVAE(image_size, 3, config).requires_grad_(False)
     network.image_decoder[-1].weight.mul_(30.0)
@@ -42,7 +42,7 @@ def make(image_size, config, count, seed=0):
 
 def of_network(network, images, features):
     decoded = network.image_decoder(features.unflatten(1, network.feature_shape))
-    return network.image_features(images), decoded.clamp(0.0, 1.0).permute(0, 2, 3, 1)
+    return network.image_features(images), decoded.permute(0, 2, 3, 1)
 
 
 def answers(asked, network, images, features):
@@ -51,7 +51,7 @@ def answers(asked, network, images, features):
 
 def assert_answers(asked, network, images, features):
     for found, expected in zip(answers(asked, network, images, features), of_network(network, images, features)):
-        torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-4)
 
 
 @pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
@@ -66,11 +66,7 @@ def test_torch_alone_answers_what_the_network_does(image_size, config, count):
 def test_the_compiled_kernels_answer_what_the_network_does(image_size, config, count):
     asked = fastest_images(image_size, config)
     assert isinstance(asked, CompiledImages)
-    asked_of = make(image_size, config, count)
-    assert_answers(asked, *asked_of)
-    decoded = asked.decode(asked_of[0], asked_of[2])
-    assert decoded.min() == 0.0
-    assert decoded.max() == 1.0
+    assert_answers(asked, *make(image_size, config, count))
 
 
 @needs_compiler
@@ -104,8 +100,8 @@ def test_of_many_images_no_more_than_one_group_for_each_thread_is_in_memory():
     network, images, features = make(*GEOMETRIES[0], 400)
     answers(asked, network, images, features)
     spare = asked._native._spare
-    assert list(spare) == [1]
-    assert len(spare[1]) <= torch.get_num_threads()
+    assert {groups for groups, _ in spare} == {1}
+    assert all(len(rooms) <= torch.get_num_threads() for rooms in spare.values())
 
 
 def test_torch_takes_long_streams_in_parts(monkeypatch):

@@ -9,7 +9,8 @@ import torch
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model import memory
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.measures import active_units, latent_means, reconstruction_error
+from embodied_active_learning.model.inference import TorchImages, fastest_images
+from embodied_active_learning.model.measures import active_units, evaluate_model, reconstruction_error
 from embodied_active_learning.model.objective import Batch
 from embodied_active_learning.model.observations import BatchReader
 
@@ -21,16 +22,20 @@ def test_active_units_count_latents_whose_unbiased_variance_exceeds_the_threshol
     assert active_units(means, 0.004) == 2
 
 
-def test_reconstruction_error_is_the_mean_squared_pixel_error_whatever_the_chunk():
+@pytest.mark.parametrize("ask", [TorchImages(), fastest_images((45, 45), ModelConfig())])
+@pytest.mark.parametrize("count", [7, 70])
+def test_reconstruction_errors_are_mean_squared_pixel_errors_however_many_images(ask, count):
     torch.manual_seed(0)
     network = ConditionalVAE((45, 45), 3, ModelConfig())
-    subset = Batch(torch.rand(7, 3), torch.randint(0, 256, (7, 45, 45, 3), dtype=torch.uint8))
+    subset = Batch(torch.rand(count, 3), torch.randint(0, 256, (count, 45, 45, 3), dtype=torch.uint8))
     with torch.no_grad():
-        latents = latent_means(network, subset, chunk=3)
-        images, _ = network.decode(latents, subset.states)
-        expected = np.mean((subset.images.numpy() / 255.0 - images.permute(0, 2, 3, 1).numpy()) ** 2)
-        for chunk in (2, 7):
-            assert abs(reconstruction_error(network, latents, subset, chunk) - expected) < 1e-6
+        latents = network.encode(*subset).mean
+        found = evaluate_model(network, ask, subset, 0.01)
+        for name, used in (("own", latents), ("shuffled", latents.roll(1, dims=0)), ("none", 0.0 * latents)):
+            images, _ = network.decode(used, subset.states)
+            expected = np.mean((subset.images.numpy() / 255.0 - images.permute(0, 2, 3, 1).numpy()) ** 2)
+            assert abs(found[f"mse_{name}"] - expected) < 1e-6
+            assert abs(reconstruction_error(network, ask, used, subset) - expected) < 1e-6
 
 
 def test_a_reader_on_another_device_keeps_what_it_has_seen_as_the_store_grows():

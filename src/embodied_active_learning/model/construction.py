@@ -8,6 +8,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.model.cvae import ConditionalVAE, initialise
 from embodied_active_learning.model.fast import fastest_loss
+from embodied_active_learning.model.inference import InferenceImages, TorchImages, fastest_images
 from embodied_active_learning.model.objective import Arithmetic, plain_loss
 
 
@@ -24,6 +25,13 @@ def choose_arithmetic(network: ConditionalVAE, device: torch.device) -> Arithmet
     if device.type == "cpu":
         return fastest_loss(network)
     return Arithmetic(plain_loss, f"torch on {device}", torch.get_num_threads())
+
+
+def choose_images(config: Config, device: torch.device) -> InferenceImages:
+    """The fastest way to ask the network on the device."""
+    if device.type == "cpu":
+        return fastest_images((config.camera.height, config.camera.width), config.model)
+    return TorchImages()
 
 
 def build_network(config: Config, seed: int) -> ConditionalVAE:

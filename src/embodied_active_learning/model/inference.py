@@ -1,4 +1,4 @@
-"""Image features and decoded images of a network that is only asked: no gradients, so nothing is kept for them."""
+"""A network that is only asked, for features, images and large layers: no gradients, so nothing is kept for them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Union
 
 import torch
+from torch import nn
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.compiler import load_library
@@ -25,9 +26,13 @@ class TorchImages:
         return torch.cat([network.image_features(part) for part in images.split(CHUNK)])
 
     def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
-        """Features (B, F) -> images (B, H, W, 3), clamped to [0, 1]."""
+        """Features (B, F) -> images (B, H, W, 3)."""
         parts = features.unflatten(1, network.feature_shape).split(CHUNK)
-        return torch.cat([network.image_decoder(part) for part in parts]).clamp_(0.0, 1.0).permute(0, 2, 3, 1)
+        return torch.cat([network.image_decoder(part) for part in parts]).permute(0, 2, 3, 1)
+
+    def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
+        """layer(inputs), inputs (B, I) -> (B, O)."""
+        return layer(inputs)
 
 
 class CompiledImages:
@@ -40,38 +45,44 @@ class CompiledImages:
     def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
         """Images (B, H, W, 3) uint8 -> features (B, F)."""
         native, kernels, images = self._native, self._native.kernels, images.contiguous()
-        weights = pack_weights(list(network.image_encoder.parameters()))
+        weights, count = pack_weights(list(network.image_encoder.parameters())), len(native.layers)
         found = torch.empty((-(-len(images) // kernels.lanes), *native.layers[-1].narrow, kernels.lanes))
+        between = range(1, count)
 
         def encode(group: int, members: slice) -> None:
-            borrowed = native.borrow(1)
-            sides = [side[0] for side in borrowed[:-1]] + [found[group]]
-            kernels.pack_images(images[members], sides[0])
-            for i, (layer, (packed, _, bias)) in enumerate(zip(native.layers, weights)):
-                kernels.narrow(layer, sides[i], packed, sides[i + 1], bias, relu=i + 1 < len(weights))
-            native.give_back(borrowed)
+            borrowed = native.borrow(1, between)
+            sides = [*(side[0] for side in borrowed), found[group]]
+            kernels.look(native.layers[0], weights[0], images[members], sides[0], relu=count > 1)
+            for i in between:
+                kernels.narrow(native.layers[i], weights[i], sides[i - 1], sides[i], relu=i + 1 < count)
+            native.give_back(borrowed, 1, between)
 
         native.for_each_group(len(images), encode)
         return kernels.from_groups(found, len(images))
 
     def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
-        """Features (B, F) -> images (B, H, W, 3), clamped to [0, 1]."""
+        """Features (B, F) -> images (B, H, W, 3)."""
         native, kernels = self._native, self._native.kernels
         weights = pack_weights(list(network.image_decoder.parameters()))[::-1]
         channels, *size = native.layers[0].wide
         inputs, images = kernels.to_groups(features), torch.empty((len(features), *size, channels))
+        without_features = range(len(weights))
 
         def decode(group: int, members: slice) -> None:
-            borrowed, shown = native.borrow(1), images[members]
-            sides = [side[0] for side in borrowed[:-1]] + [inputs[group]]
-            for i in reversed(range(len(weights))):
-                layer, (_, packed, bias) = native.layers[i], weights[i]
-                kernels.widen(layer, sides[i + 1], packed, sides[i], bias, relu=i > 0)
-            torch.clamp(sides[0].permute(3, 1, 2, 0)[: len(shown)], 0.0, 1.0, out=shown)
-            native.give_back(borrowed)
+            borrowed = native.borrow(1, without_features)
+            sides = [*(side[0] for side in borrowed), inputs[group]]
+            for i in reversed(without_features):
+                kernels.widen(native.layers[i], weights[i], sides[i + 1], sides[i], relu=i > 0)
+            shown = images[members]
+            shown.copy_(sides[0].permute(3, 1, 2, 0)[: len(shown)])
+            native.give_back(borrowed, 1, without_features)
 
         native.for_each_group(len(images), decode)
         return images
+
+    def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
+        """layer(inputs), inputs (B, I) -> (B, O)."""
+        return self._native.linear(layer, inputs)
 
 
 InferenceImages = Union[TorchImages, CompiledImages]

@@ -77,7 +77,7 @@ class LearnedModel:
         log_std, features = self.network.decode_features(
             torch.from_numpy(np.ascontiguousarray(latents)), self._normalised(states)
         )
-        return self._images.decode(self.network, features).numpy(), log_std.exp().numpy()
+        return self._images.decode(self.network, features).clamp_(0.0, 1.0).numpy(), log_std.exp().numpy()
 
     def log_std(self, latents: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Log standard deviation predicted at each of S states from each of N latents (N, L). -> (N, S) float32."""

@@ -18,6 +18,7 @@ from embodied_active_learning.model.construction import (
     build_optimiser,
     choose_arithmetic,
     choose_device,
+    choose_images,
 )
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.measures import Evaluation, active_units, evaluate_model
@@ -82,7 +83,8 @@ class Learner:
         self.schedule = Schedule(config.objective)
         self.updates = 0
         self.skipped = 0
-        self.snapshots = Snapshots(self.network)
+        self._images = choose_images(config, self._device)
+        self.snapshots = Snapshots(self.network, self._images)
 
     def update(self) -> UpdateReport:
         """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients.
@@ -124,9 +126,9 @@ class Learner:
         count = self._count(max(0, self.updates - 1))
         subset = self._reader.read(self._evaluation_indices(count))
         random = np.random.default_rng(np.random.SeedSequence([self._seed, 202]))
-        with torch.inference_mode():
+        with torch.no_grad():
             log_std = self._log_std_over(self._workspace_states(random), count)
-            measured = evaluate_model(self.network, subset, self._config.training.active_unit_threshold)
+            measured = evaluate_model(self.network, self._images, subset, self._config.training.active_unit_threshold)
         return Evaluation(
             update=self.updates,
             observations=count,
@@ -192,7 +194,7 @@ class Learner:
 
     def _evaluate_schedule(self, count: int) -> None:
         states = self._workspace_states(self._random)
-        with torch.inference_mode():
+        with torch.no_grad():
             log_std = self._log_std_over(states, count)
         visited = self._observations.states[:count]
         authors = self._config.exploration.authors_coverage
@@ -205,7 +207,7 @@ class Learner:
         """Log std (S,) at states (S, D), given the last of the first `count` observations."""
         latent = self.network.encode(*self._reader.read(np.array([count - 1]))).mean
         points = torch.from_numpy(states.astype(np.float32)).to(self._device)
-        return self.network.log_std(latent, points).cpu().numpy()
+        return self.network.log_std(latent, points, self._images.linear).cpu().numpy()
 
     def _evaluation_indices(self, count: int) -> np.ndarray:
         """Indices (N,) of the fixed subset among the first `count` observations, or of the last two of these."""

@@ -7,7 +7,8 @@ from typing import Dict
 
 import torch
 
-from embodied_active_learning.model.cvae import ConditionalVAE, float_images
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.inference import CHUNK, InferenceImages
 from embodied_active_learning.model.objective import Batch
 
 
@@ -36,28 +37,27 @@ def active_units(latent_means: torch.Tensor, threshold: float) -> int:
     return int((latent_means.var(dim=0, unbiased=True) > threshold).sum())
 
 
-def latent_means(network: ConditionalVAE, subset: Batch, chunk: int = 64) -> torch.Tensor:
-    """Mean latent of each observation of the subset. -> (N, L)."""
-    pairs = zip(subset.states.split(chunk), subset.images.split(chunk))
-    return torch.cat([network.encode(states, images).mean for states, images in pairs])
-
-
-def reconstruction_error(network: ConditionalVAE, latents: torch.Tensor, subset: Batch, chunk: int = 64) -> float:
+def reconstruction_error(
+    network: ConditionalVAE, images: InferenceImages, latents: torch.Tensor, subset: Batch
+) -> float:
     """Mean squared error of the subset's images decoded from latents (N, L) at the subset's states."""
     total = 0.0
-    for index in torch.arange(len(latents)).split(chunk):
-        means, _ = network.decode(latents[index], subset.states[index])
-        images = float_images(subset.images[index], means.dtype)
-        total += float((images - means).square().mean()) * len(index)
+    for index in torch.arange(len(latents)).split(CHUNK):
+        _, features = network.decode_features(latents[index], subset.states[index], images.linear)
+        difference = images.decode(network, features).sub_(subset.images[index] / 255.0)
+        total += float(difference.square_().mean()) * len(index)
     return total / len(latents)
 
 
-def evaluate_model(network: ConditionalVAE, subset: Batch, threshold: float) -> Dict[str, float]:
+def evaluate_model(
+    network: ConditionalVAE, images: InferenceImages, subset: Batch, threshold: float
+) -> Dict[str, float]:
     """Active units and the three reconstruction errors of an Evaluation, by its field names."""
-    latents = latent_means(network, subset)
+    features = images.features(network, subset.images)
+    latents = network.encode_features(subset.states, features, images.linear).mean
     return {
         "active_units": active_units(latents, threshold),
-        "mse_own": reconstruction_error(network, latents, subset),
-        "mse_shuffled": reconstruction_error(network, latents.roll(1, dims=0), subset),
-        "mse_none": reconstruction_error(network, torch.zeros_like(latents), subset),
+        "mse_own": reconstruction_error(network, images, latents, subset),
+        "mse_shuffled": reconstruction_error(network, images, latents.roll(1, dims=0), subset),
+        "mse_none": reconstruction_error(network, images, torch.zeros_like(latents), subset),
     }

@@ -12,24 +12,30 @@ import torch
 
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian
-
-CHUNK = 64
+from embodied_active_learning.model.inference import InferenceImages
 
 
 class Copy:
     """A network that nobody trains, with the updates it was made after. Whoever holds the lock may use it."""
 
-    def __init__(self, network: ConditionalVAE) -> None:
+    def __init__(self, network: ConditionalVAE, images: InferenceImages) -> None:
         self.network = copy.deepcopy(network).requires_grad_(False)
+        self._images = images
         self.lock = threading.Lock()
         self.updates = 0
         self._device = next(network.parameters()).device
 
     def latent(self, states: np.ndarray, images: np.ndarray) -> LatentGaussian:
         """q(z | x, y) at states (B, D) normalised, from images (B, H, W, 3) or (1, H, W, 3) uint8."""
-        parts = torch.from_numpy(np.array(images)).split(CHUNK)
-        features = torch.cat([self.network.image_features(part.to(self._device)) for part in parts])
+        pixels = torch.from_numpy(np.array(images)).to(self._device)
+        # One image does not fill the compiled kernels' groups.
+        alone = len(pixels) == 1
+        features = self.network.image_features(pixels) if alone else self._images.features(self.network, pixels)
         return self.network.encode_features(self.tensor(states), features)
+
+    def log_std(self, states: np.ndarray, latent: torch.Tensor) -> np.ndarray:
+        """Log standard deviation (S,) predicted at states (S, D) normalised, from one latent (L,)."""
+        return self.network.log_std(latent, self.tensor(states), self._images.linear).cpu().numpy()
 
     def tensor(self, values: np.ndarray) -> torch.Tensor:
         """Numbers as the network takes them."""
@@ -42,8 +48,9 @@ class Snapshots:
     Two, because learning goes on while the planner looks at what the model before said: see `min_updates`.
     """
 
-    def __init__(self, network: ConditionalVAE) -> None:
-        self._older, self._newer = Copy(network), Copy(network)
+    def __init__(self, network: ConditionalVAE, images: InferenceImages) -> None:
+        """images: how the network is asked on its device."""
+        self._older, self._newer = Copy(network, images), Copy(network, images)
 
     @property
     def updates(self) -> int:
@@ -53,7 +60,7 @@ class Snapshots:
     def log_std(self, states: np.ndarray, latent: np.ndarray) -> np.ndarray:
         """Log standard deviation of the image predicted at states (S, D) from one latent (L,). -> (S,) float32."""
         with torch.inference_mode(), self._reading() as found:
-            return found.network.log_std(found.tensor(latent), found.tensor(states)).cpu().numpy()
+            return found.log_std(states, found.tensor(latent))
 
     def conditional_log_std(
         self, states: np.ndarray, state: np.ndarray, image: np.ndarray, min_updates: int = 0
@@ -66,7 +73,7 @@ class Snapshots:
         self._check(state[np.newaxis], image[np.newaxis])
         with torch.inference_mode(), self._reading(min_updates) as found:
             latent = found.latent(state[np.newaxis], image[np.newaxis]).mean[0]
-            return found.network.log_std(latent, found.tensor(states)).cpu().numpy(), found.updates
+            return found.log_std(states, latent), found.updates
 
     def encode(self, states: np.ndarray, images: np.ndarray) -> Tuple[np.ndarray, np.ndarray, int]:
         """q(z | x, y): mean and std, (B, L) float32 each, and the updates of the model that answers.
