@@ -1,7 +1,8 @@
 # make         install what is missing, build
 # make demo    learn one world in PyBullet, headless, with the demo profile
 # make test    build, lint, unit tests, node tests
-.PHONY: all install build demo test lint format docs clean
+# make bench   every benchmark, in under ten minutes: tables, and build/benchmarks.json
+.PHONY: all install build demo test bench bench-docs lint format docs clean
 
 SHELL := /bin/bash
 VENV := .venv
@@ -27,6 +28,12 @@ demo: build
 
 test: build lint
 	tools/test.sh $(PYTEST_ARGS)
+
+bench: build
+	source ./setup.bash && python3 benchmarks/run_all.py build/benchmarks.json
+
+bench-docs: build
+	source ./setup.bash && python3 benchmarks/run_all.py build/benchmarks.json --docs
 
 # tools/ serves the checkout and is not installed; the checkout may be called what its owner likes.
 lint: build

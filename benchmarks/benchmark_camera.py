@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
+from functools import partial
 from io import BytesIO
-from typing import Callable, Dict, List, NamedTuple, TypeVar
+from typing import Dict, List
 
 import cv2
 import numpy as np
 import pybullet
 import rospy
+from measuring import Row, Section, Turn, row, run, timed
 from rosgraph_msgs.msg import Clock
 
 from embodied_active_learning.config import CameraConfig, Config
@@ -29,14 +30,6 @@ from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import Table, World, load_world, world_names
 
 YAWS_OVER_OBJECTS = (-1.0, 0.5)  # rad, of the poses centred on each object
-Result = TypeVar("Result")
-
-
-class Turn(NamedTuple):
-    """What one call took: wall time and processor time of this process [ms]."""
-
-    wall: float
-    cpu: float
 
 
 class PlainScene(Scene):
@@ -79,49 +72,25 @@ class PlainScene(Scene):
         pybullet.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self._client)
 
 
-class Stopwatch:
-    """Collects turns by name."""
-
-    def __init__(self) -> None:
-        self.turns: Dict[str, List[Turn]] = {}
-
-    def timed(self, name: str, call: Callable[[], Result]) -> Result:
-        """What the call returns."""
-        wall, cpu = time.perf_counter(), time.process_time()
-        result = call()
-        turn = Turn(1e3 * (time.perf_counter() - wall), 1e3 * (time.process_time() - cpu))
-        self.turns.setdefault(name, []).append(turn)
-        return result
-
-    def cells(self, name: str) -> str:
-        """Median and 95th percentile of wall time, then of processor time [ms], as cells of a table."""
-        wall, cpu = np.array(self.turns[name]).T
-        times = (np.median(wall), np.percentile(wall, 95), np.median(cpu), np.percentile(cpu, 95))
-        return " | ".join(f"{value:.2f}" for value in times)
-
-
-def time_images(world: World, config: Config, count: int) -> Stopwatch:
+def image_section(config: Config, count: int) -> Section:
     """Images from random poses of the workspace, and from poses centred on each object, made in both ways by turns."""
-    box = config.workspace.box()
-    anywhere = np.random.default_rng(0).uniform(box.lower, box.upper, (count, 3))
-    over_objects = [(*item.position, yaw) for item in world.objects for yaw in YAWS_OVER_OBJECTS]
-    watch = Stopwatch()
-    plain, scene = PlainScene(world, config.camera), Scene(world, config.camera)
-    for pose in np.array([*anywhere, *over_objects]):
-        watch.timed("plain", lambda pose=pose: plain.render(pose))
-        watch.timed("scene", lambda pose=pose: scene.render(pose))
-    plain.close()
-    scene.close()
-    return watch
-
-
-def report_images(config: Config, count: int) -> None:
-    """Print a row for each world."""
-    print("image [ms] | plain: wall | p95 | cpu | p95 | ours: wall | p95 | cpu | p95 | ratio of median cpu")
+    rows: List[Row] = []
     for name in world_names():
-        watch = time_images(load_world(name, config.workspace.box()), config, count)
-        plain, ours = (np.median([turn.cpu for turn in watch.turns[way]]) for way in ("plain", "scene"))
-        print(f"{name} | {watch.cells('plain')} | {watch.cells('scene')} | {plain / ours:.1f}")
+        world, box = load_world(name, config.workspace.box()), config.workspace.box()
+        anywhere = np.random.default_rng(0).uniform(box.lower, box.upper, (count, 3))
+        over_objects = [(*item.position, yaw) for item in world.objects for yaw in YAWS_OVER_OBJECTS]
+        turns: Dict[str, List[Turn]] = {"plain": [], "scene": []}
+        plain, scene = PlainScene(world, config.camera), Scene(world, config.camera)
+        for pose in np.array([*anywhere, *over_objects]):
+            turns["plain"].append(timed(partial(plain.render, pose)))
+            turns["scene"].append(timed(partial(scene.render, pose)))
+        plain.close()
+        scene.close()
+        rows.append(row(f"{name}, table and objects drawn by TinyRenderer", turns["plain"]))
+        rows.append(row(f"{name}, as shipped", turns["scene"], turns["plain"], "8 ms"))
+    return Section(
+        "One camera image", "180 x 180, one thread; poses all over the workspace and over each object.", rows
+    )
 
 
 def messages(simulation: Simulation, image: np.ndarray, camera: CameraConfig) -> None:
@@ -137,31 +106,27 @@ def messages(simulation: Simulation, image: np.ndarray, camera: CameraConfig) ->
         message.serialize(BytesIO())
 
 
-def report_moves(config: Config, count: int) -> None:
-    """Print the time of each part of random moves, each as long as an exploration step."""
+def move_section(config: Config, count: int) -> Section:
+    """Each part of random moves, each as long as an exploration step."""
     speeds = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
     velocities = np.random.default_rng(0).uniform(-speeds, speeds, (count, 3))
-    watch = Stopwatch()
+    turns: Dict[str, List[Turn]] = {"servo and physics": [], "image": [], "messages": []}
+    images: List[np.ndarray] = []
     with Simulation(load_world(config.simulation.world, config.workspace.box()), config) as simulation:
         for velocity in velocities:
-            watch.timed("servo and physics", lambda v=velocity: simulation.move(v, config.exploration.step_duration))
-            image = watch.timed("image", simulation.image)
-            watch.timed("messages", lambda image=image: messages(simulation, image, config.camera))
-    print(f"\nmove of {config.exploration.step_duration} s [ms] | wall | p95 | cpu | p95")
-    for part in watch.turns:
-        print(f"{part} | {watch.cells(part)}")
+            move = partial(simulation.move, velocity, config.exploration.step_duration)
+            turns["servo and physics"].append(timed(move))
+            turns["image"].append(timed(lambda: images.append(simulation.image())))
+            turns["messages"].append(timed(lambda: messages(simulation, images.pop(), config.camera)))
+    rows = [row(part, taken) for part, taken in turns.items()]
+    return Section("One move of the simulated arm", f"{config.exploration.step_duration} s of simulated time.", rows)
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=40, help="random poses on each world, beside those over objects")
-    parser.add_argument("--moves", type=int, default=200, help="moves timed")
-    arguments = parser.parse_args()
+def measure(arguments: argparse.Namespace) -> List[Section]:
+    """Both sections."""
     cv2.setNumThreads(1)
-    report_images(Config(), arguments.images)
-    report_moves(Config(), arguments.moves)
+    return [image_section(Config(), arguments.images), move_section(Config(), arguments.moves)]
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, measure, images=40, moves=200)

@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """Times identification: images a second against the plain way, and sixty fingerprints of twenty models.
 
+    source setup.bash && python3 benchmarks/benchmark_identification.py
+
 Models have random weights, views and images are noise, all in the paper's sizes: speed does not depend on them.
 The fast and the plain way take turns in one process: other load on the machine meets both alike. Trust the ratio first.
 """
@@ -8,25 +10,20 @@ The fast and the plain way take turns in one process: other load on the machine 
 from __future__ import annotations
 
 import argparse
-import resource
-import statistics
-import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Callable, Dict, List, NamedTuple, Tuple
+from typing import Callable, Dict, List, NamedTuple
 
 import numpy as np
 import torch
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
+from measuring import Row, Section, Turn, resident_memory, row, run, timed
 
 from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.geometry import move, wrap
-from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.model.memory import keep_freed_memory
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
@@ -134,48 +131,53 @@ def make_identification(sets: List[FingerprintSet]) -> Identification:
     return Identification(sets, config.workspace.box(), config.camera, SETTINGS)
 
 
-def compare_rates(config: Config, rounds: int) -> None:
-    """Print images a second for three fingerprints of one model, fast and plain, and how far their beliefs differ."""
+def rate_section(config: Config, rounds: int) -> Section:
+    """One image with three fingerprints of one model, fast and plain, and how far their beliefs differ."""
     found = make_set(config)
     fast, plain = make_identification([found]), PlainIdentification(found)
     stream = make_stream(config, (rounds + 1) * STREAM_PART)
-    rates: Dict[str, List[float]] = {"fast": [], "plain": []}
+    turns: Dict[str, List[Turn]] = {"plain": [], "fast": []}
     for index in range(rounds + 1):
         part = stream.part(index * STREAM_PART, (index + 1) * STREAM_PART)
-        rates["fast"].append(_rate(fast.observe, part))
-        rates["plain"].append(_rate(plain.observe, part.part(0, PLAIN_PART)))
-    print(f"\nThree fingerprints of one model, {VIEWS} views each, {rounds} rounds: images a second")
-    for name, found_rates in rates.items():
-        counted = found_rates[1:]  # the first round warms up
-        print(f"  {name:<8}{statistics.median(counted):>10.1f}  ({min(counted):.1f} to {max(counted):.1f})")
-    ratio = statistics.median(one / other for one, other in zip(rates["fast"][1:], rates["plain"][1:]))
-    print(f"  ratio   {ratio:>10.1f}")
-    print(f"  largest difference of the beliefs after the same {PLAIN_PART} images: {_difference(found, stream):.1e}")
+        turns["plain"].append(_an_image(plain.observe, part.part(0, PLAIN_PART)))
+        turns["fast"].append(_an_image(fast.observe, part))
+    plain_turns, fast_turns = turns["plain"][1:], turns["fast"][1:]  # the first round warms up
+    rows = [row("each image through the network for each view", plain_turns)]
+    rows.append(row("as the identifier does it", fast_turns, plain_turns, "100 images/s"))
+    rows[-1].value = f"{1e3 / rows[-1].wall:.0f} images/s"
+    how = (
+        f"Three fingerprints of {VIEWS} views of one model; time of one image. Largest difference between the beliefs:"
+        f" {_difference(found, stream):.0e}."
+    )
+    return Section("Identification: one model", how, rows)
 
 
-def time_many(config: Config, models: int, images: int) -> None:
-    """Print what three fingerprints of each of many models cost, from their files to the decisions."""
-    times: Dict[str, float] = {}
+def many_section(config: Config, models: int, images: int) -> Section:
+    """What three fingerprints of each of many models cost, from their files to the decisions."""
+    sets: List[FingerprintSet] = []
     with tempfile.TemporaryDirectory() as root:
         folder = _store_set(replace(config, session=replace(config.session, root=root)))
         # Read once for each model: the same numbers in memory of their own.
-        sets, times["reading the files"] = _timed(
-            lambda: [replace(load_fingerprints(folder), session=f"session-{index}") for index in range(models)]
-        )
-    looking, times["construction"] = _timed(lambda: make_identification(sets))
+        for index in range(models):
+            sets.append(replace(load_fingerprints(folder), session=f"session-{index}"))
+        reading = timed(lambda: load_fingerprints(folder)).wall * models
+    looking: List[Identification] = []
+    construction = timed(lambda: looking.append(make_identification(sets))).wall
     stream = make_stream(config, images)
-    _, observing = _timed(lambda: _observe(looking, stream))
-    decisions, times["deciding"] = _timed(lambda: looking.decide(*stream))
-    fixed = sum(times.values())
-    print(f"\n{len(looking.sought)} fingerprints of {models} models, {images} images, {len(decisions)} decisions")
-    for name, seconds in times.items():
-        print(f"  {name:<20}{seconds:>9.2f} s")
-    print(f"  {'images':<20}{observing:>9.2f} s   {1e3 * observing / images:.2f} ms an image")
-    print(f"  {'whole':<20}{fixed + observing:>9.2f} s")
-    if images != FULL_STREAM:
-        total = fixed + observing * FULL_STREAM / images
-        print(f"  {'extrapolated':<20}{total:>9.2f} s   for {FULL_STREAM} images; --images {FULL_STREAM} measures it")
-    print(f"  {'most memory':<20}{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:>9.2f} GiB")
+    observing = timed(lambda: _observe(looking[0], stream)).wall / images
+    deciding = timed(lambda: looking[0].decide(*stream)).wall
+    whole = (reading + construction + deciding + observing * FULL_STREAM) / 1e3
+    measured = "" if images == FULL_STREAM else f", extrapolated from {images} images"
+    rows = [
+        Row("reading the files", reading),
+        Row("construction", construction),
+        Row("one image", observing),
+        Row("deciding", deciding),
+        Row("whole", value=f"{whole:.0f} s for {FULL_STREAM} images{measured}", target="180 s"),
+        Row("resident memory", value=f"{resident_memory():.0f} MiB"),
+    ]
+    how = f"{len(looking[0].sought)} fingerprints of {models} models, twelve comparisons for each."
+    return Section("Identification: many models", how, rows)
 
 
 def _observe(looking: Identification, stream: Stream) -> None:
@@ -198,32 +200,20 @@ def _difference(found: FingerprintSet, stream: Stream) -> float:
     return max(float(np.abs(item.grid.mean - plain.mean(index)).max()) for index, item in enumerate(fast.sought))
 
 
-def _rate(observe: Callable[[np.ndarray, np.ndarray], None], stream: Stream) -> float:
-    _, seconds = _timed(lambda: observe(*stream))
-    return len(stream.states) / seconds
+def _an_image(observe: Callable[[np.ndarray, np.ndarray], None], stream: Stream) -> Turn:
+    """What one of the stream's images takes."""
+    turn, count = timed(lambda: observe(*stream)), len(stream.states)
+    return Turn(turn.wall / count, turn.cpu / count, turn.faults // count)
 
 
-def _timed(call: Callable[[], object]) -> Tuple[object, float]:
-    """What a call gives, and how long it took [s]."""
-    begin = time.perf_counter()
-    return call(), time.perf_counter() - begin
-
-
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--threads", type=int, default=0, help="CPU threads; 0 takes every core")
-    parser.add_argument("--rounds", type=int, default=8, help="turns of the fast and the plain way")
-    parser.add_argument("--models", type=int, default=20, help="models of three fingerprints each")
-    parser.add_argument("--images", type=int, default=200, help="images that are looked at for all of them")
-    arguments = parser.parse_args()
+def measure(arguments: argparse.Namespace) -> List[Section]:
+    """Both sections."""
+    keep_freed_memory()
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     config = Config.from_dict({"session": {"name": "benchmark"}})
-    print(f"torch {torch.__version__}, {torch.get_num_threads()} threads; {load_library()[1]}")
-    compare_rates(config, arguments.rounds)
-    time_many(config, arguments.models, arguments.images)
+    return [rate_section(config, arguments.rounds), many_section(config, arguments.models, arguments.images)]
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, measure, threads=0, rounds=8, models=20, images=200)

@@ -114,14 +114,13 @@ class ConditionalVAE(nn.Module):
         outputs = _run(self.decoder, torch.cat((latents, states), dim=1), linear)
         return outputs[:, 0].clamp(*LOG_LIMITS), outputs[:, 1:]
 
-    def log_std(self, latents: torch.Tensor, states: torch.Tensor, linear: Linear = nn.Linear.__call__) -> torch.Tensor:
+    def log_std(self, latents: torch.Tensor, states: torch.Tensor) -> torch.Tensor:
         """Log standard deviation of p(y | z, s) at states (S, D), for latents (S, L) or one (1, L) or (L,) -> (S,).
 
-        Leaves out the image and the 3920 outputs that lead to it: conditional entropy needs this number alone. linear:
-        how a layer is applied to its inputs.
+        Leaves out the image and the 3920 outputs that lead to it: conditional entropy needs this number alone.
         """
         hidden = _first_layer(self.decoder[0], latents.reshape(-1, self.latent_size), states)
-        hidden = _run(self.decoder[1:-1], hidden, linear)
+        hidden = self.decoder[1:-1](hidden)
         head = self.decoder[-1]
         return functional.linear(hidden, head.weight[:1], head.bias[:1])[:, 0].clamp(*LOG_LIMITS)
 

@@ -12,7 +12,7 @@ from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE, Size
 from embodied_active_learning.model.kernels import Kernels, pack_weights
-from embodied_active_learning.model.native import NativeImages
+from embodied_active_learning.model.native import END, NativeImages
 
 CHUNK = 64
 """Images that torch takes at a time, so that what lies between the layers stays small."""
@@ -46,36 +46,36 @@ class CompiledImages:
         """Images (B, H, W, 3) uint8 -> features (B, F)."""
         native, kernels, images = self._native, self._native.kernels, images.contiguous()
         weights, count = pack_weights(list(network.image_encoder.parameters())), len(native.layers)
-        found = torch.empty((-(-len(images) // kernels.lanes), *native.layers[-1].narrow, kernels.lanes))
-        between = range(1, count)
+        found, inwards = torch.empty((len(images), native.feature_size)), range(1, count + 1)
 
-        def encode(group: int, members: slice) -> None:
-            borrowed = native.borrow(1, between)
-            sides = [*(side[0] for side in borrowed), found[group]]
-            kernels.look(native.layers[0], weights[0], images[members], sides[0], relu=count > 1)
-            for i in between:
+        def encode(_: int, members: slice) -> None:
+            borrowed = native.borrow(1, inwards)
+            sides = [side[0] for side in borrowed]
+            kernels.look(native.layers[:END], weights[:END], images[members], sides[:END], relu=count > END)
+            for i in range(END, count):
                 kernels.narrow(native.layers[i], weights[i], sides[i - 1], sides[i], relu=i + 1 < count)
-            native.give_back(borrowed, 1, between)
+            kernels.from_group(sides[-1], found[members])
+            native.give_back(borrowed, 1, inwards)
 
         native.for_each_group(len(images), encode)
-        return kernels.from_groups(found, len(images))
+        return found
 
     def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
         """Features (B, F) -> images (B, H, W, 3)."""
         native, kernels = self._native, self._native.kernels
         weights = pack_weights(list(network.image_decoder.parameters()))[::-1]
         channels, *size = native.layers[0].wide
-        inputs, images = kernels.to_groups(features), torch.empty((len(features), *size, channels))
-        without_features = range(len(weights))
+        images, all_sides = torch.empty((len(features), *size, channels)), range(len(weights) + 1)
 
-        def decode(group: int, members: slice) -> None:
-            borrowed = native.borrow(1, without_features)
-            sides = [*(side[0] for side in borrowed), inputs[group]]
-            for i in reversed(without_features):
+        def decode(_: int, members: slice) -> None:
+            borrowed = native.borrow(1, all_sides)
+            sides = [side[0] for side in borrowed]
+            kernels.to_group(features[members], sides[-1])
+            for i in reversed(range(len(weights))):
                 kernels.widen(native.layers[i], weights[i], sides[i + 1], sides[i], relu=i > 0)
-            shown = images[members]
-            shown.copy_(sides[0].permute(3, 1, 2, 0)[: len(shown)])
-            native.give_back(borrowed, 1, without_features)
+            shown = images[members].numpy()
+            shown[:] = sides[0].numpy().transpose(3, 1, 2, 0)[: len(shown)]
+            native.give_back(borrowed, 1, all_sides)
 
         native.for_each_group(len(images), decode)
         return images

@@ -423,17 +423,26 @@ static side image_of(const pictures *p) {
 
 static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p->channels * LANES); }
 
-/* The first convolution, from the pictures to values with relu or without. Returns 0, or -1 without memory. */
-int look(const pictures *p, const side *out, const layer *l, int relu) {
-    side whole = image_of(p), image = ring(&whole, (STRIP - 1) * l->stride + l->kernel);
+/* The first two convolutions, from the pictures to values and further to out, with relu behind the first, and behind
+ * the second if relu. Without a second one (second->kernel = 0) values are the end, with relu if relu. Returns 0, or -1
+ * without memory.
+ */
+int look(const pictures *p, const layer *first, const layer *second, const side *values, const side *out, int relu) {
+    int two = second->kernel != 0;
+    side whole = image_of(p), image = ring(&whole, (STRIP - 1) * first->stride + first->kernel);
     uint8_t *line = line_of(p);
     int failed = !image.values || !line;
-    finish f = {l->bias, relu, 0, 0};
-    for (int from = 0, done = 0; from < out->rows && !failed; from += STRIP) {
-        int to = least(from + STRIP, out->rows), end = (to - 1) * l->stride + l->kernel;
+    finish f = {first->bias, two || relu, 0, 0}, last = {second->bias, relu, 0, 0};
+    for (int from = 0, done = 0, made = 0; from < values->rows && !failed; from += STRIP) {
+        int to = least(from + STRIP, values->rows), end = (to - 1) * first->stride + first->kernel;
         read_rows(p, &image, line, done, end);
         done = end;
-        narrow_rows(&image, out, l, &f, from, to);
+        narrow_rows(&image, values, first, &f, from, to);
+        if (two) {
+            int ready = within(out, values, second, to);
+            narrow_rows(values, out, second, &last, made, ready);
+            made = ready;
+        }
     }
     free(image.values);
     free(line);

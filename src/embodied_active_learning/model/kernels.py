@@ -6,7 +6,6 @@ import ctypes
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import torch
-from torch.nn import functional
 
 Shape = Tuple[int, int, int]
 
@@ -68,15 +67,15 @@ class Kernels:
         self.lanes: int = library.lanes()
         self.panel: int = library.panel()
 
-    def to_groups(self, values: torch.Tensor) -> torch.Tensor:
-        """(B, F) -> (G, F, lanes), zero beyond B."""
-        groups = -(-len(values) // self.lanes)
-        padded = functional.pad(values.detach(), (0, 0, 0, groups * self.lanes - len(values)))
-        return padded.unflatten(0, (groups, self.lanes)).transpose(1, 2).contiguous()
+    def to_group(self, rows: torch.Tensor, out: torch.Tensor) -> None:
+        """Rows (B, F), any strides, of at most `lanes` images -> one group (..., lanes), zero beyond B."""
+        values = out.numpy().reshape(-1, self.lanes)
+        values[:, len(rows) :] = 0.0
+        values[:, : len(rows)] = rows.numpy().T
 
-    def from_groups(self, values: torch.Tensor, count: int) -> torch.Tensor:
-        """(G, ..., lanes) -> (count, F)."""
-        return values.flatten(1, -2).transpose(1, 2).flatten(0, 1)[:count]
+    def from_group(self, values: torch.Tensor, out: torch.Tensor) -> None:
+        """One group (..., lanes) -> rows (B, F) of at most `lanes` images."""
+        out.numpy()[:] = values.numpy().reshape(-1, self.lanes).T[: len(out)]
 
     def narrow(
         self,
@@ -120,9 +119,21 @@ class Kernels:
         """Sum (C,) of slopes of this shape over rows, columns and images."""
         self._library.channel_sums(_side(shape, slopes), out.data_ptr())
 
-    def look(self, layer: Layer, weights: Weights, images: torch.Tensor, out: torch.Tensor, relu: bool) -> None:
-        """The convolution next to the image, from up to `lanes` images (B, H, W, 3) uint8."""
-        _check(self._library.look(_pictures(images), _side(layer.narrow, out), _layer(layer, weights), relu))
+    def look(
+        self,
+        layers: Sequence[Layer],
+        weights: Sequence[Weights],
+        images: torch.Tensor,
+        values: Sequence[torch.Tensor],
+        relu: bool,
+    ) -> None:
+        """The convolutions next to the image, one or two, from up to `lanes` images (B, H, W, 3) uint8.
+
+        values: room for what is behind each of them; relu: whether the last one has it.
+        """
+        second = _layer(layers[1], weights[1]) if len(layers) > 1 else _layer()
+        sides = _side(layers[0].narrow, values[0]), _side(layers[-1].narrow, values[-1])
+        _check(self._library.look(_pictures(images), _layer(layers[0], weights[0]), second, *sides, relu))
 
     def look_back(
         self,
@@ -227,7 +238,7 @@ def signatures() -> Dict[str, Tuple[Any, List[Any]]]:
         "widen": convolution,
         "correlate": (number, [side, side, layer, address]),
         "channel_sums": (None, [side, address]),
-        "look": (number, [pictures, side, layer, number]),
+        "look": (number, [pictures, layer, layer, side, side, number]),
         "look_back": (number, [pictures, layer, layer, side, side, address, address, address]),
         "reconstruct": (
             number,

@@ -207,7 +207,7 @@ class Learner:
         """Log std (S,) at states (S, D), given the last of the first `count` observations."""
         latent = self.network.encode(*self._reader.read(np.array([count - 1]))).mean
         points = torch.from_numpy(states.astype(np.float32)).to(self._device)
-        return self.network.log_std(latent, points, self._images.linear).cpu().numpy()
+        return self.network.log_std(latent, points).cpu().numpy()
 
     def _evaluation_indices(self, count: int) -> np.ndarray:
         """Indices (N,) of the fixed subset among the first `count` observations, or of the last two of these."""

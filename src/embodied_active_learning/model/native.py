@@ -31,6 +31,8 @@ class NativeImages:
         geometry = zip(shapes, shapes[1:], convolutions)
         self.layers = [Layer(wide, narrow, part.kernel_size[0], part.stride[0]) for wide, narrow, part in geometry]
         self._shapes = shapes
+        self.feature_size = network.feature_size
+        self.deep_sides = range(min(END, len(self.layers)), len(self.layers) + 1)
         self._spare: DefaultDict[Tuple[int, range], List[List[torch.Tensor]]] = defaultdict(list)
 
     def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
@@ -85,32 +87,34 @@ class _Features(torch.autograd.Function):
         kernels, layers = native.kernels, native.layers
         weights = pack_weights(parameters)
         groups, sides = -(-len(images) // kernels.lanes), range(1, len(layers) + 1)
-        values = native.borrow(groups, sides)
+        values, features = native.borrow(groups, sides), torch.empty((len(images), native.feature_size))
 
         def encode(group: int, members: slice) -> None:
-            kernels.look(layers[0], weights[0], images[members], values[0][group], relu=len(layers) > 1)
-            for i in range(1, len(layers)):
+            ends = [side[group] for side in values[:END]]
+            kernels.look(layers[:END], weights[:END], images[members], ends, relu=len(layers) > END)
+            for i in range(END, len(layers)):
                 kernels.narrow(layers[i], weights[i], values[i - 1][group], values[i][group], relu=i + 1 < len(layers))
+            kernels.from_group(values[-1][group], features[members])
 
         native.for_each_group(len(images), encode)
         ctx.native, ctx.images, ctx.values, ctx.weights = native, images, values, weights
         ctx.shapes = [parameter.shape for parameter in parameters]
-        return kernels.from_groups(values[-1], len(images))
+        return features
 
     @staticmethod
     def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
         native, values, weights = ctx.native, ctx.values, ctx.weights
         kernels, layers = native.kernels, native.layers
-        last = kernels.to_groups(upstream)
-        gradients = [torch.empty((len(last), *shape)) for shape in ctx.shapes]
-        deep = range(END, len(layers))
+        groups, upstream = len(values[0]), upstream.detach()
+        gradients = [torch.empty((groups, *shape)) for shape in ctx.shapes]
 
         def differentiate(group: int, members: slice) -> None:
-            borrowed = native.borrow(1, deep)
+            borrowed = native.borrow(1, native.deep_sides)
             parts = [part[group] for part in gradients]
-            slopes = last[group]
+            slopes = borrowed[-1][0]
+            kernels.to_group(upstream[members], slopes)
             kernels.bias_gradient(layers[-1].narrow, slopes, parts[-1])
-            for i in reversed(deep):
+            for i in reversed(range(END, len(layers))):
                 inner = values[i - 1][group]
                 kernels.weight_gradient(layers[i], slopes, inner, parts[2 * i])
                 below = borrowed[i - END][0]
@@ -119,10 +123,10 @@ class _Features(torch.autograd.Function):
             end = parts[:3] if len(layers) > 1 else parts[:1]
             between = values[0][group] if len(layers) > 1 else None
             kernels.look_back(layers[:END], weights[:END], ctx.images[members], between, slopes, end)
-            native.give_back(borrowed, 1, deep)
+            native.give_back(borrowed, 1, native.deep_sides)
 
         native.for_each_group(len(upstream), differentiate)
-        native.give_back(values, len(last), range(1, len(layers) + 1))
+        native.give_back(values, groups, range(1, len(layers) + 1))
         return (None, None, *(gradient.sum(0) for gradient in gradients))
 
 
@@ -139,30 +143,33 @@ class _WeightedErrors(torch.autograd.Function):
         *parameters: torch.Tensor,
     ) -> Tuple[torch.Tensor, torch.Tensor]:
         kernels, layers, pixels = native.kernels, native.layers, images[0].numel()
-        deep = range(END, len(layers))
+        is_gated = len(layers) > END
         packed = pack_weights(parameters)[::-1]
-        inputs, scales = kernels.to_groups(features), kernels.to_groups(weights[:, None] * (2.0 / pixels))
-        slopes, errors = torch.empty_like(inputs), torch.empty((len(inputs), 1, kernels.lanes))
-        gradients = [torch.empty((len(inputs), *parameter.shape)) for parameter in parameters]
+        features, scales = features.detach(), weights.detach()[:, None] * (2.0 / pixels)
+        slopes, errors = torch.empty((len(images), native.feature_size)), torch.empty((len(images), 1))
+        gradients = [torch.empty((-(-len(images) // kernels.lanes), *parameter.shape)) for parameter in parameters]
 
         def work(group: int, members: slice) -> None:
-            values, flow = native.borrow(1, deep), native.borrow(1, deep)
-            inner = [*(side[0] for side in values), inputs[group]]
-            below = [*(side[0] for side in flow), slopes[group]]
+            values, flow = native.borrow(1, native.deep_sides), native.borrow(1, native.deep_sides)
+            inner, below = [side[0] for side in values], [side[0] for side in flow]
+            scale, squares = torch.empty(kernels.lanes), torch.empty(kernels.lanes)
+            kernels.to_group(features[members], inner[-1])
+            kernels.to_group(scales[members], scale)
             # Weight and bias of each layer, from the image inwards.
             slots = [(weight[group], bias[group]) for weight, bias in zip(gradients[-2::-2], gradients[::-2])]
-            totals = slots[END][1] if deep else torch.empty(layers[-1].narrow[0])
-            found = EndGradients(errors[group], slots[0], slots[1] if len(slots) > 1 else None, totals)
+            totals = slots[END][1] if is_gated else torch.empty(layers[-1].narrow[0])
+            found = EndGradients(squares, slots[0], slots[1] if len(slots) > 1 else None, totals)
             _decode(native, packed, inner)
-            image = images[members], scales[group]
-            kernels.reconstruct(layers[:END], packed[:END], inner[0], *image, bool(deep), below[0], found)
+            image = images[members], scale
+            kernels.reconstruct(layers[:END], packed[:END], inner[0], *image, is_gated, below[0], found)
             _differentiate_decoder(native, packed, inner, below, slots)
-            native.give_back(values, 1, deep)
-            native.give_back(flow, 1, deep)
+            kernels.from_group(below[-1], slopes[members])
+            kernels.from_group(squares, errors[members])
+            native.give_back(values, 1, native.deep_sides)
+            native.give_back(flow, 1, native.deep_sides)
 
         native.for_each_group(len(images), work)
-        errors = kernels.from_groups(errors, len(images))[:, 0] / pixels
-        slopes = kernels.from_groups(slopes, len(images))
+        errors = errors[:, 0] / pixels
         ctx.save_for_backward(slopes, errors, *(gradient.sum(0) for gradient in gradients))
         ctx.mark_non_differentiable(errors)
         return torch.dot(weights, errors), errors

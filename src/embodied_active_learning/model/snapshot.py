@@ -35,7 +35,7 @@ class Copy:
 
     def log_std(self, states: np.ndarray, latent: torch.Tensor) -> np.ndarray:
         """Log standard deviation (S,) predicted at states (S, D) normalised, from one latent (L,)."""
-        return self.network.log_std(latent, self.tensor(states), self._images.linear).cpu().numpy()
+        return self.network.log_std(latent, self.tensor(states)).cpu().numpy()
 
     def tensor(self, values: np.ndarray) -> torch.Tensor:
         """Numbers as the network takes them."""
