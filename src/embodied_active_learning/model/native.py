@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, Callable, DefaultDict, List, Optional, Tuple
 
 import torch
@@ -14,6 +14,7 @@ from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer,
 
 Gradients = Tuple[Optional[torch.Tensor], ...]
 
+PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 END = 2  # layers next to the image that are worked off together, a few rows at a time
 
 
@@ -24,7 +25,7 @@ class NativeImages:
         """Take over the geometry of the network; its weights are read at each call."""
         self.kernels = kernels
         self.threads = torch.get_num_threads()
-        self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="kernels")
+        self._pool = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="kernels")
         convolutions = [layer for layer in network.image_encoder if isinstance(layer, nn.Conv2d)]
         shapes = [(IMAGE_CHANNELS, *network.sizes[0])]
         shapes += [(layer.out_channels, *size) for layer, size in zip(convolutions, network.sizes[1:])]
@@ -55,14 +56,29 @@ class NativeImages:
     def for_each_group(self, count: int, task: Callable[[int, slice], None]) -> None:
         """Call task(group, its images) for the groups of `count` images, on all threads."""
         lanes = self.kernels.lanes
-        groups = -(-count // lanes)
-        list(self._pool.map(lambda group: task(group, slice(group * lanes, (group + 1) * lanes)), range(groups)))
+        self._share(-(-count // lanes), lambda group: task(group, slice(group * lanes, (group + 1) * lanes)))
 
     def for_each_part(self, count: int, task: Callable[[slice], None]) -> None:
-        """Call task(part) for as many parts of range(count) as there are threads, none smaller than a panel."""
-        parts = max(1, min(self.threads, count // self.kernels.panel))
+        """Call task(part) for parts of range(count), none smaller than a panel, on all threads."""
+        parts = max(1, min(PARTS * self.threads, count // self.kernels.panel))
         bounds = [count * part // parts for part in range(parts + 1)]
-        list(self._pool.map(task, map(slice, bounds, bounds[1:])))
+        self._share(parts, lambda part: task(slice(bounds[part], bounds[part + 1])))
+
+    def _share(self, count: int, task: Callable[[int], None]) -> None:
+        """Call task(0), ..., task(count - 1), each by whichever thread is free; the caller is one of them."""
+        left = iter(range(count))
+
+        def work() -> None:
+            for index in left:
+                task(index)
+
+        helping = [self._pool.submit(work) for _ in range(min(count, self.threads) - 1)]
+        try:
+            work()
+        finally:
+            wait(helping)
+        for helper in helping:
+            helper.result()
 
     def borrow(self, groups: int, sides: range) -> List[torch.Tensor]:
         """Room for the values on some sides of the layers, counted from the image: (groups, C, H, W, lanes) each.
