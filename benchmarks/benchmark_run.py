@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import subprocess
 import tempfile
 import time
@@ -22,7 +23,9 @@ from measuring import Row, Section, run
 
 FULL = 3000  # steps of the paper's run
 NODES = ("pybullet_arm", "ergodic_planner", "trainer", "fingerprinter", "monitor", "robot_state_publisher")
+LEARNING = 80  # steps after which each brings its updates
 PERIOD = 0.5  # s, between two looks at the processes
+SECONDS_A_STEP = 2.0  # s, beyond which a run counts as hanging
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -33,34 +36,46 @@ class Usage(NamedTuple):
     memory: float
 
 
-def learn(steps: int, root: Path) -> Tuple[float, float, Dict[str, Usage], int]:
-    """Run learn.launch -> seconds in all, seconds until the first observation, what each node used, updates made."""
+class Learned(NamedTuple):
+    """A run: (seconds since roslaunch, steps made) again and again, what each node used at most, updates made."""
+
+    progress: List[Tuple[float, int]]
+    used: Dict[str, Usage]
+    updates: int
+
+
+def learn(steps: int, root: Path) -> Learned:
+    """Run learn.launch. Raises SystemExit with the end of its output when it fails or hangs."""
     arguments = [f"steps:={steps}", "session:=benchmark", f"session_root:={root}", "seed:=0"]
     environment = {**os.environ, "ROS_HOME": str(root), "ROS_HOSTNAME": "localhost"}
-    port = subprocess.run(
-        ["python3", str(Path(__file__).parents[1] / "tools" / "free_port.py")],
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout.strip()
-    begin, started, used = time.monotonic(), 0.0, {}
+    find_port = ["python3", str(Path(__file__).parents[1] / "tools" / "free_port.py"), "11311"]
+    port = subprocess.run(find_port, check=True, capture_output=True, text=True).stdout.strip()
+    begin, deadline = time.monotonic(), time.monotonic() + SECONDS_A_STEP * steps + 120.0
+    progress: List[Tuple[float, int]] = []
+    used: Dict[str, Usage] = {}
     with (root / "output.txt").open("w", encoding="utf-8") as output:
-        launch = subprocess.Popen(
-            ["roslaunch", "-p", port, "embodied_active_learning", "learn.launch", *arguments],
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=environment,
-        )
-        while launch.poll() is None:
-            time.sleep(PERIOD)
-            used.update(usage(root))
-            if not started and any((root / "benchmark" / "observations").glob("*")):
-                started = time.monotonic() - begin
+        command = ["roslaunch", "-p", port, "embodied_active_learning", "learn.launch", *arguments]
+        launch = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment)
+        try:
+            while launch.poll() is None and time.monotonic() < deadline:
+                time.sleep(PERIOD)
+                progress.append((time.monotonic() - begin, steps_made(root)))
+                for name, now in usage(root).items():
+                    used[name] = Usage(now.cpu, max(now.memory, used[name].memory if name in used else 0.0))
+        finally:
+            if launch.poll() is None:
+                launch.send_signal(signal.SIGINT)
+                launch.wait()
     summary = root / "benchmark" / "summary.yaml"
     if launch.returncode or not summary.exists():
         raise SystemExit(f"the run failed:\n{(root / 'output.txt').read_text(encoding='utf-8')[-3000:]}")
-    made = yaml.safe_load(summary.read_text(encoding="utf-8"))["updates"]
-    return time.monotonic() - begin, started, used, made
+    return Learned(progress, used, yaml.safe_load(summary.read_text(encoding="utf-8"))["updates"])
+
+
+def steps_made(root: Path) -> int:
+    """Rows of the session's table of steps."""
+    table = root / "benchmark" / "exploration.csv"
+    return max(0, table.read_bytes().count(b"\n") - 1) if table.exists() else 0
 
 
 def usage(root: Path) -> Dict[str, Usage]:
@@ -81,22 +96,26 @@ def usage(root: Path) -> Dict[str, Usage]:
 def measure(arguments: argparse.Namespace) -> List[Section]:
     """One section."""
     with tempfile.TemporaryDirectory() as folder:
-        seconds, started, used, updates = learn(arguments.steps, Path(folder))
-    rate = (seconds - started) / arguments.steps
-    whole = started + FULL * rate
+        learned = learn(arguments.steps, Path(folder))
+    begun = next(moment for moment in learned.progress if moment[1] >= LEARNING)
+    explored = next(moment for moment in learned.progress if moment[1] >= arguments.steps)
+    started = next(time for time, steps in learned.progress if steps)
+    rate = (explored[0] - begun[0]) / (explored[1] - begun[1])
+    ending = learned.progress[-1][0] - explored[0]
+    whole = begun[0] + (FULL - begun[1]) * rate + ending
     measured = "" if arguments.steps == FULL else f", extrapolated from {arguments.steps} steps"
     rows = [
         Row("whole run", value=f"{whole / 60.0:.1f} min for {FULL} steps{measured}", target="10 min"),
-        Row("from roslaunch to the first observation", value=f"{started:.1f} s"),
-        Row("each step, its share of the updates and all files included", wall=1e3 * rate),
+        Row("from roslaunch to the first step", value=f"{started:.1f} s"),
+        Row("a step and its three updates, all files included", wall=1e3 * rate),
+        Row("from the last step to the end: the last updates, model, pictures", value=f"{ending:.1f} s"),
     ]
-    for name, usage_of in sorted(used.items(), key=lambda item: -item[1].cpu):
-        of_step = 1e3 * usage_of.cpu / arguments.steps
+    for name, used in sorted(learned.used.items(), key=lambda item: -item[1].cpu):
         target = "2000 MiB" if name == "trainer" else ""
-        rows.append(Row(name, cpu=of_step, value=f"{usage_of.memory:.0f} MiB", target=target))
+        rows.append(Row(name, cpu=1e3 * used.cpu / arguments.steps, value=f"{used.memory:.0f} MiB", target=target))
     how = (
-        f"The paper's profile in lock-step, {arguments.steps} steps and {updates} updates, from roslaunch to the last"
-        " picture. Processor time is of a step, the node's start included."
+        f"The paper's profile in lock-step, {arguments.steps} steps and {learned.updates} updates, from roslaunch to"
+        " the last picture. Processor time of a node: all of it divided by the steps, its start included."
     )
     return [Section("A whole run", how, rows)]
 

@@ -32,12 +32,13 @@ class Turn(NamedTuple):
 
 @dataclass
 class Row:
-    """One measured thing. Times in ms, medians; ratio: how many times faster than the naive way, turn by turn."""
+    """One measured thing. Times [ms] and page faults are medians; ratio: times faster than the naive way, by turns."""
 
     what: str
     wall: Optional[float] = None
     p90: Optional[float] = None
     cpu: Optional[float] = None
+    faults: Optional[int] = None
     ratio: Optional[float] = None
     peak_share: Optional[float] = None
     value: str = ""
@@ -53,11 +54,16 @@ class Section:
     rows: List[Row] = field(default_factory=list)
 
 
-def take_turns(variants: Dict[str, Callable[[], object]], rounds: int) -> Dict[str, List[Turn]]:
-    """Call the variants one after the other, again and again. The first rounds are not counted."""
+def take_turns(
+    variants: Dict[str, Callable[[], object]],
+    rounds: int,
+    prepare: Callable[[str], object] = lambda name: None,
+) -> Dict[str, List[Turn]]:
+    """Call the variants one after the other, again and again. The first rounds are not counted, nor prepare(name)."""
     turns: Dict[str, List[Turn]] = {name: [] for name in variants}
     for _ in range(WARM_UP + rounds):
         for name, call in variants.items():
+            prepare(name)
             turns[name].append(timed(call))
     return {name: taken[WARM_UP:] for name, taken in turns.items()}
 
@@ -75,7 +81,8 @@ def row(what: str, turns: Sequence[Turn], naive: Optional[Sequence[Turn]] = None
     walls = [turn.wall for turn in turns]
     ratio = statistics.median(slow.wall / fast.wall for slow, fast in zip(naive, turns)) if naive else None
     p90 = sorted(walls)[min(len(walls) - 1, int(0.9 * len(walls)))]
-    return Row(what, statistics.median(walls), p90, statistics.median(turn.cpu for turn in turns), ratio, target=target)
+    cpu, faults = (statistics.median(column) for column in list(zip(*turns))[1:])
+    return Row(what, statistics.median(walls), p90, cpu, int(faults), ratio, target=target)
 
 
 def rows_of(turns: Dict[str, List[Turn]], targets: Optional[Dict[str, str]] = None) -> List[Row]:
@@ -126,6 +133,7 @@ def table(section: Section) -> str:
         ("median [ms]", lambda row: _number(row.wall, 2)),
         ("p90 [ms]", lambda row: _number(row.p90, 2)),
         ("processor [ms]", lambda row: _number(row.cpu, 2)),
+        ("page faults", lambda row: f"{row.faults}" if row.faults else ""),
         ("times faster", lambda row: _number(row.ratio, 2)),
         ("of peak", lambda row: "" if row.peak_share is None else f"{100.0 * row.peak_share:.0f} %"),
         ("measured", lambda row: row.value),

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import List
+from typing import List, Tuple
 
 from measuring import Section, machine, read_json, table, write_json
 
@@ -31,12 +31,14 @@ def main() -> None:
     parser.add_argument("json", type=Path, help="file to write the results to")
     parser.add_argument("--docs", action="store_true", help="put the tables into docs/performance.md")
     arguments = parser.parse_args()
+    if arguments.docs:
+        parts_of_document()  # before the time is spent
     sections: List[Section] = []
     begin = time.monotonic()
     for name in BENCHMARKS:
         print(f"--- {name}, {time.monotonic() - begin:.0f} s since the start", flush=True)
         sections += measured(name)
-    write_json(arguments.json, sections)
+        write_json(arguments.json, sections)
     print(f"{time.monotonic() - begin:.0f} s; results in {arguments.json}")
     if arguments.docs:
         put_into_document(sections)
@@ -54,13 +56,21 @@ def measured(name: str) -> List[Section]:
         return read_json(path)
 
 
+def parts_of_document() -> Tuple[str, str]:
+    """What stands before the tables and behind them. Raises SystemExit where the document has no place for them."""
+    text = DOCUMENT.read_text(encoding="utf-8") if DOCUMENT.exists() else ""
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise SystemExit(f"{DOCUMENT} lacks the lines {BEGIN!r} and {END!r}, between which the tables go")
+    return before, after
+
+
 def put_into_document(sections: List[Section]) -> None:
     """Replace the tables between the two marks."""
-    text = DOCUMENT.read_text(encoding="utf-8")
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
+    before, after = parts_of_document()
     on = ", ".join(f"{name} {value}" for name, value in machine().items())
-    tables = "\n".join(table(section).replace("### ", "#### ") for section in sections)
+    tables = "\n".join(table(section) for section in sections)
     DOCUMENT.write_text(f"{before}{BEGIN}\n\nMeasured on: {on}.\n\n{tables}\n{END}{after}", encoding="utf-8")
 
 

@@ -290,7 +290,7 @@ def test_who_waits_for_updates_is_answered_by_the_model_that_had_them_and_everyo
         found, updates = learner.snapshots.conditional_log_std(states, *question)
         values[updates] = found
     assert list(values) == [1, 2, 3]
-    for min_updates, answered_by in ((0, 3), (1, 2), (2, 2), (3, 3), (4, 3)):
+    for min_updates, answered_by in ((0, 3), (1, 3), (2, 2), (3, 3), (4, 3)):
         found, updates = learner.snapshots.conditional_log_std(states, *question, min_updates)
         assert updates == answered_by
         np.testing.assert_array_equal(found, values[answered_by])
@@ -299,16 +299,46 @@ def test_who_waits_for_updates_is_answered_by_the_model_that_had_them_and_everyo
 def test_a_refresh_waits_for_readers_of_the_model_that_it_replaces_and_for_no_others():
     learner = make()
     learner.update()
-    with learner.snapshots._newer.lock:
+    _, newer = learner.snapshots._copies
+    with newer.lock:
         learner.refresh()
         assert learner.snapshots.updates == 1
     learner.update()
-    with learner.snapshots._older.lock:
+    with newer.lock:  # which is the older one by now
         waiting = threading.Thread(target=learner.refresh)
         waiting.start()
+        waiting.join(0.2)
+        assert waiting.is_alive()
         assert learner.snapshots.updates == 1
     waiting.join(10.0)
     assert learner.snapshots.updates == 2
+
+
+def test_a_reader_who_is_overtaken_by_a_refresh_is_still_answered_by_the_model_that_it_asked_for():
+    learner, store = make(), GrowingStore(70)
+    for _ in range(2):
+        learner.update()
+        learner.refresh()
+    snapshots, asked = learner.snapshots, (np.zeros((4, 3)), store.states[0], store.images[0], 2)
+    expected, updates = snapshots.conditional_log_std(*asked)
+    assert updates == 2
+    learner.update()
+    copies, held = snapshots._copies, threading.Event()
+
+    class Overtaken:
+        """The copies; between the choice of one and its use, a refresh comes."""
+
+        def __getitem__(self, index):
+            if not held.is_set():
+                held.set()
+                learner.refresh()
+            return copies[index]
+
+    snapshots._copies = Overtaken()
+    snapshots._check = lambda *_: None
+    found, updates = snapshots.conditional_log_std(*asked)
+    assert (held.is_set(), updates) == (True, 2)
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_observations_that_come_early_change_nothing():

@@ -26,6 +26,8 @@ GEOMETRIES = [
     ((44, 61), ModelConfig(channels=(4, 6), kernels=(4, 3), strides=(3, 3))),
     ((44, 61), ModelConfig(channels=(4, 6, 5), kernels=(2, 5, 3), strides=(3, 3, 1))),
     ((30, 41), ModelConfig(channels=(4,), kernels=(5,), strides=(2,))),
+    ((16, 16), ModelConfig(channels=(4,), kernels=(1,), strides=(4,))),
+    ((44, 44), ModelConfig(channels=(4, 6), kernels=(1, 3), strides=(2, 2))),
 ]
 
 
@@ -161,6 +163,15 @@ def test_gradients_scale_with_what_is_asked_of_the_fast_loss():
     (3.0 * fast(network, pair, noise, 1e-3, 0.07).total).backward()
     for parameter, gradient in zip(network.parameters(), once):
         assert torch.allclose(parameter.grad, 3.0 * gradient, rtol=1e-4, atol=1e-7)
+
+
+@needs_compiler
+def test_gradients_of_the_compiled_loss_are_taken_once():
+    network, pair, noise = make((45, 45), ModelConfig(), 3)
+    loss = FastLoss(NativeImages(network, Kernels(LIBRARY)))(network, pair, noise, 1e-3, 0.07).total
+    loss.backward(retain_graph=True)
+    with pytest.raises(RuntimeError, match="once"):
+        loss.backward()
 
 
 @needs_compiler

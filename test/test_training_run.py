@@ -58,6 +58,7 @@ def test_updates_keep_their_ratio_to_observations(tmp_path):
     with training(run) as (reports, _):
         hand_over(run, range(9))
         run.log_std(np.zeros((1, 3)), 12, TIMEOUT)
+        run.save()  # by the training thread, once it has reported
         assert run.updates == 2 * (9 + 1 - 4)
         assert [report.update for report in reports] == list(range(1, 13))
         assert not run.finished

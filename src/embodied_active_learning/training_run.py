@@ -115,8 +115,8 @@ class TrainingRun:
     ) -> Tuple[Optional[np.ndarray], int, bool]:
         """Log standard deviation (S,) at states (S, 3) SI units, given the newest observation's latent.
 
-        Waits up to timeout seconds for a model with min_updates; the older of two that have them answers. -> (values,
-        or None before the first update; updates of the model that answered; whether it had min_updates).
+        Waits up to timeout seconds for a model with min_updates; that before the newest answers if it has just these.
+        -> (values, or None before the first update; updates of the model that answered; whether it had min_updates).
         """
         ready = self._wait_for_updates(min_updates, timeout)
         snapshots = self._learner.snapshots

@@ -32,7 +32,7 @@ def load_library() -> Tuple[Optional[ctypes.CDLL], str]:
     try:
         command = shlex.split(compiler)  # "ccache gcc" is two words
         if shutil.which(command[0]) is None:
-            return None, "no C compiler: install gcc for training that is two to three times faster"
+            return None, "no C compiler: install gcc for training that is about two and a half times faster"
         library = _load(command)
     except (OSError, AttributeError, ValueError, subprocess.SubprocessError) as error:
         detail = getattr(error, "stderr", None) or str(error)

@@ -507,8 +507,10 @@ int reconstruct(const side *values, const layer *last, const layer *before, cons
                 const float *scale, int relu, const gradients *g) {
     int two = before->kernel != 0;
     const side *middle = two ? between : values;
+    /* A kernel smaller than its stride leaves rows between the strips, and behind the last. */
+    int high = STRIP * last->stride + (last->kernel > last->stride ? last->kernel : last->stride) - 1;
     int deep = ((STRIP - 1) * last->stride + last->kernel - 1) / last->stride + 1;
-    side whole = image_of(p), image = ring(&whole, STRIP * last->stride + last->kernel - 1);
+    side whole = image_of(p), image = ring(&whole, high);
     side inner = two ? ring(middle, deep) : *values, flow = two ? ring(middle, STRIP + before->kernel) : *g->slopes;
     long counts[2] = {weights(middle, &image, last), two ? weights(values, middle, before) : 0};
     vec *sums = zeros(counts[0] + counts[1] + p->channels + middle->channels + values->channels);

@@ -8,6 +8,7 @@ from typing import Any, Callable, DefaultDict, List, Optional, Tuple
 
 import torch
 from torch import nn
+from torch.autograd.function import once_differentiable
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
 from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer, Weights, pack_weights
@@ -118,8 +119,12 @@ class _Features(torch.autograd.Function):
         return features
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
         native, values, weights = ctx.native, ctx.values, ctx.weights
+        if values is None:
+            raise RuntimeError("gradients of image features can be taken once: what they need is given back after that")
+        ctx.values = None
         kernels, layers = native.kernels, native.layers
         groups, upstream = len(values[0]), upstream.detach()
         gradients = [torch.empty((groups, *shape)) for shape in ctx.shapes]
@@ -191,6 +196,7 @@ class _WeightedErrors(torch.autograd.Function):
         return torch.dot(weights, errors), errors
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, upstream: torch.Tensor, _: torch.Tensor) -> Gradients:
         slopes, errors, *gradients = (upstream * saved for saved in ctx.saved_tensors)
         return (None, slopes, errors, None, *gradients)
@@ -212,6 +218,7 @@ class _Linear(torch.autograd.Function):
         return out.add_(bias[:, None]).t()
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
         native, (inputs, weight) = ctx.native, ctx.saved_tensors
         multiply = native.kernels.multiply

@@ -50,12 +50,14 @@ class Snapshots:
 
     def __init__(self, network: ConditionalVAE, images: InferenceImages) -> None:
         """images: how the network is asked on its device."""
-        self._older, self._newer = Copy(network, images), Copy(network, images)
+        self._copies = Copy(network, images), Copy(network, images)
+        # Number and updates of the older copy and of the newer one: replaced at once, so that none reads half a change.
+        self._order = (0, 0), (1, 0)
 
     @property
     def updates(self) -> int:
         """Updates of the newest model."""
-        return self._newer.updates
+        return self._order[1][1]
 
     def log_std(self, states: np.ndarray, latent: np.ndarray) -> np.ndarray:
         """Log standard deviation of the image predicted at states (S, D) from one latent (L,). -> (S,) float32."""
@@ -67,8 +69,8 @@ class Snapshots:
     ) -> Tuple[np.ndarray, int]:
         """Log standard deviation predicted at states (S, D), given the mean latent of one observation.
 
-        state: (D,) normalised, image: (H, W, 3) uint8 -> (S,) float32, and the updates of the model that answers. That
-        is the older one if it has min_updates: who counts updates is answered by the very model that it waited for.
+        state: (D,) normalised, image: (H, W, 3) uint8 -> (S,) float32, and the updates of the model that answers: the
+        older one if min_updates are its own, so that who counts updates hears the very model that it waited for.
         """
         self._check(state[np.newaxis], image[np.newaxis])
         with torch.inference_mode(), self._reading(min_updates) as found:
@@ -88,26 +90,28 @@ class Snapshots:
 
     def take(self, network: ConditionalVAE, updates: int) -> None:
         """Take over the weights in place of the older copy's, once nobody reads it any more. One thread may call it."""
-        with self._older.lock, torch.no_grad():
-            for mine, theirs in zip(self._older.network.parameters(), network.parameters()):
+        (oldest, _), newest = self._order
+        found = self._copies[oldest]
+        with found.lock, torch.no_grad():
+            for mine, theirs in zip(found.network.parameters(), network.parameters()):
                 mine.copy_(theirs)
-            self._older.updates = updates
-            self._older, self._newer = self._newer, self._older
+            found.updates = updates
+            self._order = newest, (oldest, updates)
 
     @contextmanager
     def _reading(self, min_updates: int = 0) -> Iterator[Copy]:
-        """The newer copy, or the older one if that has what is asked for; kept from being replaced meanwhile."""
+        """The newer copy, or the older one if that is the one asked for; kept from being replaced meanwhile."""
         while True:
-            older, newer = self._older, self._newer
-            found = older if 0 < min_updates <= older.updates else newer
-            updates = found.updates
+            older, newer = self._order
+            index, updates = older if 0 < min_updates == older[1] else newer
+            found = self._copies[index]
             with found.lock:
                 if found.updates == updates:
                     yield found
                     return
 
     def _check(self, states: np.ndarray, images: np.ndarray) -> None:
-        expected = (*self._newer.network.image_size, 3)
+        expected = (*self._copies[0].network.image_size, 3)
         if images.dtype != np.uint8 or images.shape[1:] != expected:
             raise ObservationError(
                 f"images are {images.dtype} {images.shape}, the model was built for uint8 (B, *{expected})"
