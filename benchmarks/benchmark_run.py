@@ -98,7 +98,8 @@ def measure(arguments: argparse.Namespace) -> List[Section]:
     with tempfile.TemporaryDirectory() as folder:
         learned = learn(arguments.steps, Path(folder))
     begun = next(moment for moment in learned.progress if moment[1] >= LEARNING)
-    explored = next(moment for moment in learned.progress if moment[1] >= arguments.steps)
+    # The last row waits for all the updates that are left, which a run of any length has as many of.
+    explored = next(moment for moment in learned.progress if moment[1] >= arguments.steps - 1)
     started = next(time for time, steps in learned.progress if steps)
     rate = (explored[0] - begun[0]) / (explored[1] - begun[1])
     ending = learned.progress[-1][0] - explored[0]
