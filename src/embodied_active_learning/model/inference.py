@@ -12,7 +12,7 @@ from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE, Size
 from embodied_active_learning.model.kernels import Kernels, pack_weights
-from embodied_active_learning.model.native import END, NativeImages
+from embodied_active_learning.model.native import NativeImages
 
 CHUNK = 64
 """Images that torch takes at a time, so that what lies between the layers stays small."""
@@ -45,15 +45,13 @@ class CompiledImages:
     def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
         """Images (B, H, W, 3) uint8 -> features (B, F)."""
         native, kernels, images = self._native, self._native.kernels, images.contiguous()
-        weights, count = pack_weights(list(network.image_encoder.parameters())), len(native.layers)
-        found, inwards = torch.empty((len(images), native.feature_size)), range(1, count + 1)
+        weights = pack_weights(list(network.image_encoder.parameters()))
+        found, inwards = torch.empty((len(images), native.feature_size)), range(1, len(weights) + 1)
 
         def encode(_: int, members: slice) -> None:
             borrowed = native.borrow(1, inwards)
             sides = [side[0] for side in borrowed]
-            kernels.look(native.layers[:END], weights[:END], images[members], sides[:END], relu=count > END)
-            for i in range(END, count):
-                kernels.narrow(native.layers[i], weights[i], sides[i - 1], sides[i], relu=i + 1 < count)
+            native.encode(weights, images[members], sides)
             kernels.from_group(sides[-1], found[members])
             native.give_back(borrowed, 1, inwards)
 
@@ -71,8 +69,7 @@ class CompiledImages:
             borrowed = native.borrow(1, all_sides)
             sides = [side[0] for side in borrowed]
             kernels.to_group(features[members], sides[-1])
-            for i in reversed(range(len(weights))):
-                kernels.widen(native.layers[i], weights[i], sides[i + 1], sides[i], relu=i > 0)
+            native.decode(weights, sides)
             shown = images[members].numpy()
             shown[:] = sides[0].numpy().transpose(3, 1, 2, 0)[: len(shown)]
             native.give_back(borrowed, 1, all_sides)

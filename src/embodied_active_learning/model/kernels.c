@@ -273,26 +273,27 @@ static side ring(const side *s, int rows) {
     return few;
 }
 
-/* out (channels) of the narrow side = convolution of the wide one. Returns 0, or -1 when memory has run out. */
-int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
-    vec *sums = zeros(narrow->channels);
+typedef void rows_of(const side *in, const side *out, const layer *l, const finish *f, int from, int to);
+
+static int whole(rows_of *rows, const side *in, const side *out, const layer *l, int relu, const side *gate,
+                 float *totals) {
+    vec *sums = zeros(out->channels);
     if (!sums) return -1;
     finish f = {l->bias, relu, gate, totals ? sums : 0};
-    narrow_rows(wide, narrow, l, &f, 0, narrow->rows);
-    if (totals) add_lanes(sums, narrow->channels, totals);
+    rows(in, out, l, &f, 0, out->rows);
+    if (totals) add_lanes(sums, out->channels, totals);
     free(sums);
     return 0;
 }
 
+/* The narrow side = convolution of the wide one. Returns 0, or -1 when memory has run out. */
+int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
+    return whole(narrow_rows, wide, narrow, l, relu, gate, totals);
+}
+
 /* The wide side = transposed convolution of the narrow one. Returns 0, or -1 when memory has run out. */
 int widen(const side *narrow, const side *wide, const layer *l, int relu, const side *gate, float *totals) {
-    vec *sums = zeros(wide->channels);
-    if (!sums) return -1;
-    finish f = {l->bias, relu, gate, totals ? sums : 0};
-    widen_rows(narrow, wide, l, &f, 0, wide->rows);
-    if (totals) add_lanes(sums, wide->channels, totals);
-    free(sums);
-    return 0;
+    return whole(widen_rows, narrow, wide, l, relu, gate, totals);
 }
 
 /* Gradient of a weight: out[a][b][ky][kx] = sum narrow[a][y][x] wide[b][y s + ky][x s + kx]. Returns 0 or -1. */
@@ -429,7 +430,7 @@ static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p-
  */
 int look(const pictures *p, const layer *first, const layer *second, const side *values, const side *out, int relu) {
     int two = second->kernel != 0;
-    side whole = image_of(p), image = ring(&whole, (STRIP - 1) * first->stride + first->kernel);
+    side all = image_of(p), image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
     uint8_t *line = line_of(p);
     int failed = !image.values || !line;
     finish f = {first->bias, two || relu, 0, 0}, last = {second->bias, relu, 0, 0};
@@ -458,7 +459,7 @@ int look_back(const pictures *p, const layer *first, const layer *second, const 
               float *first_weight, float *first_bias, float *second_weight) {
     int two = values->values != 0;
     const side *between = two ? values : slopes;
-    side whole = image_of(p), image = ring(&whole, (STRIP - 1) * first->stride + first->kernel);
+    side all = image_of(p), image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
     side inner = two ? ring(values, STRIP) : *slopes;
     long counts[2] = {weights(between, &image, first), two ? weights(slopes, values, second) : 0};
     vec *sums = zeros(counts[0] + counts[1] + between->channels);
@@ -510,7 +511,7 @@ int reconstruct(const side *values, const layer *last, const layer *before, cons
     /* A kernel smaller than its stride leaves rows between the strips, and behind the last. */
     int high = STRIP * last->stride + (last->kernel > last->stride ? last->kernel : last->stride) - 1;
     int deep = ((STRIP - 1) * last->stride + last->kernel - 1) / last->stride + 1;
-    side whole = image_of(p), image = ring(&whole, high);
+    side all = image_of(p), image = ring(&all, high);
     side inner = two ? ring(middle, deep) : *values, flow = two ? ring(middle, STRIP + before->kernel) : *g->slopes;
     long counts[2] = {weights(middle, &image, last), two ? weights(values, middle, before) : 0};
     vec *sums = zeros(counts[0] + counts[1] + p->channels + middle->channels + values->channels);

@@ -22,7 +22,7 @@ from embodied_active_learning.model.construction import (
 )
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.measures import Evaluation, active_units, evaluate_model
-from embodied_active_learning.model.objective import Loss
+from embodied_active_learning.model.objective import Arithmetic, Loss
 from embodied_active_learning.model.observations import BatchReader, Observations
 from embodied_active_learning.model.schedule import Schedule
 from embodied_active_learning.model.snapshot import Snapshots
@@ -76,8 +76,10 @@ class Learner:
         self._random = np.random.default_rng(batches_seed)
         self.network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
         self._optimiser = build_optimiser(self.network, config.training.learning_rate)
-        chosen = choose_arithmetic(self.network, self._device)
-        self.arithmetic = chosen if loss is None else chosen._replace(loss=loss, description="as given")
+        if loss is None:
+            self.arithmetic = choose_arithmetic(self.network, self._device)
+        else:
+            self.arithmetic = Arithmetic(loss, "as given", torch.get_num_threads())
         self._reader = BatchReader(observations, self._device, keep=self._device.type != "cpu")
         self._variance = CoverageKernel.from_config(config).variance
         self.schedule = Schedule(config.objective)

@@ -54,6 +54,23 @@ class NativeImages:
             return layer(inputs)
         return _Linear.apply(self, inputs, layer.weight, layer.bias)
 
+    def encode(self, weights: List[Weights], images: torch.Tensor, sides: List[torch.Tensor]) -> None:
+        """From one group's images: fill its sides, that behind the first convolution to the innermost, the features."""
+        layers, count = self.layers, len(self.layers)
+        self.kernels.look(layers[:END], weights[:END], images, sides[:END], relu=count > END)
+        for i in range(END, count):
+            self.kernels.narrow(layers[i], weights[i], sides[i - 1], sides[i], relu=i + 1 < count)
+
+    def decode(self, weights: List[Weights], sides: List[torch.Tensor]) -> None:
+        """From the innermost of one group's sides, the features: fill the others, outwards as far as there are any.
+
+        weights: of the decoder's layers, the image's first.
+        """
+        nearest = len(self.layers) + 1 - len(sides)
+        for i in reversed(range(nearest, len(self.layers))):
+            wide, narrow = sides[i - nearest], sides[i - nearest + 1]
+            self.kernels.widen(self.layers[i], weights[i], narrow, wide, relu=i > 0)
+
     def for_each_group(self, count: int, task: Callable[[int, slice], None]) -> None:
         """Call task(group, its images) for the groups of `count` images, on all threads."""
         lanes = self.kernels.lanes
@@ -107,10 +124,7 @@ class _Features(torch.autograd.Function):
         values, features = native.borrow(groups, sides), torch.empty((len(images), native.feature_size))
 
         def encode(group: int, members: slice) -> None:
-            ends = [side[group] for side in values[:END]]
-            kernels.look(layers[:END], weights[:END], images[members], ends, relu=len(layers) > END)
-            for i in range(END, len(layers)):
-                kernels.narrow(layers[i], weights[i], values[i - 1][group], values[i][group], relu=i + 1 < len(layers))
+            native.encode(weights, images[members], [side[group] for side in values])
             kernels.from_group(values[-1][group], features[members])
 
         native.for_each_group(len(images), encode)
@@ -180,7 +194,7 @@ class _WeightedErrors(torch.autograd.Function):
             slots = [(weight[group], bias[group]) for weight, bias in zip(gradients[-2::-2], gradients[::-2])]
             totals = slots[END][1] if is_gated else torch.empty(layers[-1].narrow[0])
             found = EndGradients(squares, slots[0], slots[1] if len(slots) > 1 else None, totals)
-            _decode(native, packed, inner)
+            native.decode(packed, inner)
             image = images[members], scale
             kernels.reconstruct(layers[:END], packed[:END], inner[0], *image, is_gated, below[0], found)
             _differentiate_decoder(native, packed, inner, below, slots)
@@ -226,12 +240,6 @@ class _Linear(torch.autograd.Function):
         native.for_each_part(inputs.shape[1], lambda part: multiply(upstream, weight[:, part], slopes[:, part]))
         native.for_each_part(len(weight), lambda part: multiply(upstream.t()[part], inputs, gradient[part]))
         return None, slopes, gradient, upstream.sum(0)
-
-
-def _decode(native: NativeImages, packed: List[Weights], inner: List[torch.Tensor]) -> None:
-    """Fill the sides of one group from the innermost, the features, to that which the last layers start from."""
-    for i in reversed(range(END, len(native.layers))):
-        native.kernels.widen(native.layers[i], packed[i], inner[i + 1 - END], inner[i - END], relu=True)
 
 
 def _differentiate_decoder(
