@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
 from embodied_active_learning.exploration_run import ExplorationRun
 
@@ -103,6 +103,50 @@ def test_a_run_that_goes_on_has_the_same_coverage_distance_and_measure_as_one_th
     assert again.effort == pytest.approx(last.effort)
     assert again.coverage == pytest.approx(last.coverage, rel=0.1)  # other samples, the same trajectory
     assert again.ergodic_measure == pytest.approx(last.ergodic_measure, rel=0.2)
+
+
+@pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic"])
+def test_a_run_that_recalls_its_memory_goes_on_bit_for_bit(explorer):
+    config = configured(explorer)
+    whole = ExplorationRun(config)
+    state, velocity, command = np.array(config.simulation.start), np.zeros(3), None
+    resumed = None
+    for step in range(40):
+        if step == 25:
+            resumed = ExplorationRun(config, whole.travelled_states)
+            resumed.recall(whole.memory())
+        runs = [whole] if resumed is None else [whole, resumed]
+        for run in runs:
+            run.observe(state, velocity)
+        assessments = [run.assess(np.sin(5.0 * run.sample_states).sum(axis=1)) for run in runs]
+        commands = [run.next_command() for run in runs]
+        assert len(set(commands)) == 1
+        assert len({(a.coverage, a.ergodic_measure, a.distance, a.turning, str(a.effort)) for a in assessments}) == 1
+        np.testing.assert_array_equal(runs[0].sample_states, runs[-1].sample_states)
+        command = commands[0]
+        if isinstance(command, VelocityCommand):
+            state, velocity = state + command.duration * command.velocity, command.velocity
+        else:
+            state, velocity = np.array([command.x, command.y, command.theta]), np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda memory: memory.pop("samples/states"), "lacks states"),
+        (lambda memory: memory.update({"explorer/controls": np.zeros((3, 3))}), "holds controls as"),
+        (lambda memory: memory.update({"sums": np.zeros(3, np.float32)}), "holds sums as float32"),
+        (lambda memory: memory.update(step=np.array([4])), "is of step 4, the trajectory of step 5"),
+    ],
+)
+def test_a_memory_that_does_not_fit_is_refused_by_name(change, words):
+    config = configured()
+    run = ExplorationRun(config)
+    drive(run, config, 5)
+    memory = run.memory()
+    change(memory)
+    with pytest.raises(CorruptFileError, match=words):
+        ExplorationRun(config, run.travelled_states).recall(memory)
 
 
 def test_after_an_interruption_the_plan_starts_from_rest():

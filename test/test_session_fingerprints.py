@@ -537,7 +537,7 @@ def test_set_with_illegal_facts_is_refused_though_its_checksum_is_right(session,
     [
         ({"centre": torch.zeros(3)}, {}, "object-1: centre is float32"),
         ({"states": torch.zeros(2, 3, dtype=torch.float64)}, {}, r"object-1: images is uint8 \(3, "),
-        ({"latent_means": torch.zeros(3, 2, dtype=torch.bfloat16)}, {}, ".*BFloat16"),
+        ({"latent_means": torch.zeros(3, 2, dtype=torch.float16)}, {}, ".*float16"),
         ({"latent_stds": None}, {}, "latent_stds is missing"),
         ({"more": torch.zeros(1)}, {}, "'more' is no field"),
         ({}, {"name": "object-2"}, "name is 'object-2', expected 'object-1'"),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Optional
+from typing import Mapping, Optional
 
 import numpy as np
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.exploration.commands import Command, VelocityCommand
 from embodied_active_learning.exploration.explorers import make_explorer
+from embodied_active_learning.exploration.memory import Memory, as_part, part, recall
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.exploration.streams import continued_seed
 from embodied_active_learning.exploration.target import (
@@ -107,6 +109,38 @@ class ExplorationRun:
             self._turning,
             self._effort,
         )
+
+    def memory(self) -> Memory:
+        """Copies of everything but the visited states that decides what it does next."""
+        state = np.full(self._workspace.size, np.nan) if self._state is None else self._state
+        own = {
+            "step": np.array([self._step]),
+            "state": np.array(state, dtype=np.float64),
+            "velocity": np.array(self._velocity, dtype=np.float64),
+            "sums": np.array([self._distance, self._turning, self._effort]),
+            "target": np.array(self._target, dtype=np.float64),
+        }
+        return {
+            **own,
+            **as_part("samples", self._samples.memory()),
+            **as_part("explorer", self._explorer.memory()),
+        }
+
+    def recall(self, memory: Mapping[str, np.ndarray]) -> None:
+        """Go on, after the same trajectory, exactly as the run did whose memory this is.
+
+        Raises CorruptFileError when it is of another trajectory or configuration; the run is of no use then.
+        """
+        own = recall(memory, {name: array for name, array in self.memory().items() if "/" not in name})
+        if int(own["step"][0]) != self._step:
+            raise CorruptFileError(
+                f"the planner's memory is of step {int(own['step'][0])}, the trajectory of step {self._step}"
+            )
+        self._samples.recall(part(memory, "samples"))
+        self._explorer.recall(part(memory, "explorer"))
+        self._state = own["state"] if self._step else None
+        self._velocity, self._target = own["velocity"], own["target"]
+        self._distance, self._turning, self._effort = own["sums"].tolist()
 
     def interrupt(self) -> None:
         """Tell the explorer that the arm was stopped: its plan and its idea of the velocity no longer hold."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Optional
+from typing import Mapping, Optional
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from embodied_active_learning.exploration.commands import PoseCommand, VelocityC
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
 from embodied_active_learning.exploration.ergodic import ErgodicController
 from embodied_active_learning.exploration.explorer import Explorer
+from embodied_active_learning.exploration.memory import Memory, recall
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.exploration.streams import Stream, generator
+from embodied_active_learning.exploration.streams import Stream, generator, generator_words, set_generator_words
 from embodied_active_learning.exploration.target import flat_distribution
 
 DRAWS = 10  # velocities tried before the random walk heads for a random state instead
@@ -53,6 +54,20 @@ class RandomWalkExplorer(Explorer):
         self._velocity = self._draw_velocity()
         return VelocityCommand(*self._dynamics.to_si(self._velocity).tolist(), duration=self._dynamics.step)
 
+    def memory(self) -> Memory:
+        """See Explorer."""
+        return {
+            "position": self._position.copy(),
+            "velocity": self._velocity.copy(),
+            "generator": generator_words(self._random),
+        }
+
+    def recall(self, memory: Mapping[str, np.ndarray]) -> None:
+        """See Explorer."""
+        recalled = recall(memory, self.memory())
+        self._position, self._velocity = recalled["position"], recalled["velocity"]
+        set_generator_words(self._random, recalled["generator"])
+
     @property
     def planned_states(self) -> np.ndarray:
         """None: (0, D)."""
@@ -86,6 +101,14 @@ class UniformExplorer(Explorer):
         """See Explorer."""
         state = self._random.uniform(-1.0, 1.0, self._workspace.size)
         return PoseCommand(*self._workspace.clip(self._workspace.denormalise(state)).tolist())
+
+    def memory(self) -> Memory:
+        """See Explorer."""
+        return {"generator": generator_words(self._random)}
+
+    def recall(self, memory: Mapping[str, np.ndarray]) -> None:
+        """See Explorer."""
+        set_generator_words(self._random, recall(memory, self.memory())["generator"])
 
     @property
     def planned_states(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Optional
+from typing import Mapping, Optional
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from embodied_active_learning.exploration.candidates import random_candidates, u
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator, Rollout
 from embodied_active_learning.exploration.explorer import Explorer
+from embodied_active_learning.exploration.memory import Memory, recall
 from embodied_active_learning.exploration.objective import ErgodicObjective
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.exploration.streams import Stream, generator
+from embodied_active_learning.exploration.streams import Stream, generator, generator_words, set_generator_words
 
 
 @dataclass(frozen=True)
@@ -58,12 +59,34 @@ class ErgodicController(Explorer):
         self._velocity = np.zeros_like(self._position)
         self._expected_velocity = np.zeros_like(self._position)
         self._commanded = np.zeros_like(self._position)
-        self._under_way: Optional[Plan] = None
+        # Positions and velocities of the plan whose first step was commanded and not yet observed.
+        self._under_way = np.empty((2, 0, self._position.size))
 
     @property
     def planned_states(self) -> np.ndarray:
         """(H, D) normalised states of the plan whose first step was commanded; (0, D) before that."""
-        return np.empty((0, self._position.size)) if self._under_way is None else self._under_way.positions
+        return self._under_way[0].copy()
+
+    def memory(self) -> Memory:
+        """See Explorer."""
+        return {
+            "position": self._position.copy(),
+            "velocity": self._velocity.copy(),
+            "expected_velocity": self._expected_velocity.copy(),
+            "commanded": self._commanded.copy(),
+            "controls": self._controls.copy(),
+            "under_way": self._under_way.copy(),
+            "generator": generator_words(self._random),
+        }
+
+    def recall(self, memory: Mapping[str, np.ndarray]) -> None:
+        """See Explorer."""
+        like = {**self.memory(), "under_way": np.empty((2, 0, self._position.size))}
+        recalled = recall(memory, like)
+        self._position, self._velocity = recalled["position"], recalled["velocity"]
+        self._expected_velocity, self._commanded = recalled["expected_velocity"], recalled["commanded"]
+        self._controls, self._under_way = recalled["controls"], recalled["under_way"]
+        set_generator_words(self._random, recalled["generator"])
 
     def observe(self, position: np.ndarray, measured_velocity: Optional[np.ndarray] = None) -> None:
         """Re-anchor the plan. position: (D,) normalised; measured_velocity: (D,) m/s, m/s, rad/s, None if unknown.
@@ -75,10 +98,10 @@ class ErgodicController(Explorer):
             if not np.all(np.isfinite(values)):
                 raise ObservationError(f"observed position or velocity {list(values)} is not finite")
         self._position = np.array(position, dtype=np.float64)
-        if self._under_way is not None:
+        if self._under_way.size:
             self._controls = np.concatenate([self._controls[1:], np.zeros_like(self._controls[:1])])
-            self._expected_velocity = self._under_way.velocities[0]
-            self._under_way = None
+            self._expected_velocity = self._under_way[1, 0]
+            self._under_way = self._under_way[:, :0]
         correction = np.zeros_like(self._position)
         if measured_velocity is not None:
             error = self.dynamics.from_si(measured_velocity) - self._commanded
@@ -91,8 +114,9 @@ class ErgodicController(Explorer):
 
         From a position in the workspace it never leads out of it; from outside it leads back.
         """
-        self._under_way = self.plan(target, samples)
-        way = (self._under_way.positions[0] - self._position) / self.dynamics.gain
+        plan = self.plan(target, samples)
+        self._under_way = np.stack([plan.positions, plan.velocities])
+        way = (plan.positions[0] - self._position) / self.dynamics.gain
         limit = self.dynamics.velocity_limit
         self._commanded = np.clip(way / self.dynamics.step, -limit, limit)
         return VelocityCommand(*self.dynamics.to_si(self._commanded).tolist(), duration=self.dynamics.step)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Optional
+from typing import Mapping, Optional
 
 import numpy as np
 
 from embodied_active_learning.exploration.commands import Command
+from embodied_active_learning.exploration.memory import Memory
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 
 
@@ -28,6 +29,17 @@ class Explorer(ABC):
     @abstractmethod
     def reset(self) -> None:
         """Forget what was under way: the arm was stopped."""
+
+    @abstractmethod
+    def memory(self) -> Memory:
+        """Copies of everything that decides what it does next."""
+
+    @abstractmethod
+    def recall(self, memory: Mapping[str, np.ndarray]) -> None:
+        """Go on as the one did whose memory this is.
+
+        Raises CorruptFileError when it does not fit; then nothing is changed.
+        """
 
     @property
     @abstractmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Sequence
+from typing import Mapping, Sequence
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.coverage import mean_coverage
 from embodied_active_learning.exploration.history import History
 from embodied_active_learning.exploration.kernel import CoverageKernel
-from embodied_active_learning.exploration.streams import Stream, generator
+from embodied_active_learning.exploration.memory import Memory, recall
+from embodied_active_learning.exploration.streams import Stream, generator, generator_words, set_generator_words
 
 
 class WorkspaceSamples:
@@ -74,6 +75,28 @@ class WorkspaceSamples:
         size, fresh = len(self._states), self._exploration.fresh_samples
         self._draw((self._oldest + np.arange(fresh)) % size)
         self._oldest = (self._oldest + fresh) % size
+
+    def memory(self) -> Memory:
+        """Copies of everything but the visited states that decides what it answers next."""
+        return {
+            "states": self._states.copy(),
+            "features": self._features.copy(),
+            "visitation": self._visitation.copy(),
+            "largest": self._largest.copy(),
+            "oldest": np.array([self._oldest]),
+            "generator": generator_words(self._random),
+        }
+
+    def recall(self, memory: Mapping[str, np.ndarray]) -> None:
+        """Go on as the samples did whose memory this is, after the same visited states.
+
+        Raises CorruptFileError when it does not fit; then nothing is changed.
+        """
+        recalled = recall(memory, self.memory())
+        self._states, self._features = recalled["states"], recalled["features"]
+        self._visitation, self._largest = recalled["visitation"], recalled["largest"]
+        self._oldest = int(recalled["oldest"][0]) % len(self._states)
+        set_generator_words(self._random, recalled["generator"])
 
     def _draw(self, which: np.ndarray) -> None:
         """Draw the samples of these indices, and sum up all visited states at them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Tuple
 
 import numpy as np
 
@@ -24,3 +25,24 @@ def continued_seed(seed: int, visited: int) -> int:
 def generator(seed: int, stream: Stream) -> np.random.Generator:
     """The generator of one stream of a run's seed."""
     return np.random.default_rng(np.random.SeedSequence([seed, int(stream)]))
+
+
+def generator_words(random: np.random.Generator) -> np.ndarray:
+    """(6,) uint64: everything that decides what a generator will draw."""
+    state = random.bit_generator.state
+    words = [*_halves(state["state"]["state"]), *_halves(state["state"]["inc"]), state["has_uint32"], state["uinteger"]]
+    return np.array(words, dtype=np.uint64)
+
+
+def set_generator_words(random: np.random.Generator, words: np.ndarray) -> None:
+    """Let a generator draw what the one drew whose words (6,) these are."""
+    high, low, inc_high, inc_low, has_uint32, uinteger = map(int, words)
+    state = random.bit_generator.state
+    state["state"] = {"state": high << 64 | low, "inc": inc_high << 64 | inc_low}
+    state["has_uint32"], state["uinteger"] = has_uint32, uinteger
+    random.bit_generator.state = state
+
+
+def _halves(number: int) -> Tuple[int, int]:
+    """A number of 128 bits as two of 64, the higher one first."""
+    return number >> 64, number & (2**64 - 1)
