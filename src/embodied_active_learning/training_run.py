@@ -13,13 +13,14 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.model.checkpoint import network_weights
-from embodied_active_learning.model.learner import Learner, UpdateReport
+from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
 from embodied_active_learning.model.objective import Arithmetic
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table
 
 LOG = logging.getLogger(__name__)
+ROLLBACKS = 3  # tried at one update before training is given up
 
 
 class TrainingRun:
@@ -39,7 +40,10 @@ class TrainingRun:
         self._save_asked = False
         self._saved: Optional[Path] = None
         self._complete = False
+        self._diverged_at, self._rollbacks_there = 0, 0
         self._restore()
+        # What a model that diverges before the first checkpoint goes back to.
+        self._beginning = None if self._learner.updates else self._learner.state()
         self._training_table = self._open_table("training")
         self._evaluation_table = self._open_table("evaluation")
 
@@ -62,6 +66,16 @@ class TrainingRun:
     def updates(self) -> int:
         """Updates made."""
         return self._learner.updates
+
+    @property
+    def skipped(self) -> int:
+        """Batches left out because their loss or gradient was not finite."""
+        return self._learner.skipped
+
+    @property
+    def rollbacks(self) -> int:
+        """How often the last good model was gone back to."""
+        return self._learner.rollbacks
 
     @property
     def updates_due(self) -> int:
@@ -91,12 +105,15 @@ class TrainingRun:
     ) -> None:
         """Make the updates as they become due until stop is set (see wake), and leave a checkpoint behind.
 
-        on_update is called after each update, on_finish once when the final model is written. Raises DivergenceError,
-        and SessionError when the disk fails.
+        on_update is called after each update, on_finish once when the final model is written. A model that diverges is
+        replaced by the last good one. Raises DivergenceError when that does not help, SessionError when the disk fails.
         """
         while not stop.is_set():
             if self._learner.updates < self.updates_due:
-                on_update(self._update())
+                try:
+                    on_update(self._update())
+                except DivergenceError as error:
+                    self._roll_back(error)
             elif self._is_complete():
                 self._finish()
                 on_finish()
@@ -182,6 +199,20 @@ class TrainingRun:
             self.wake()
         return report
 
+    def _roll_back(self, error: DivergenceError) -> None:
+        """Go on from the last good model with other batches. Raises the error when that was tried often enough."""
+        past = self.updates > self._diverged_at
+        self._diverged_at = max(self._diverged_at, self.updates)
+        self._rollbacks_there = 1 if past else self._rollbacks_there + 1
+        if self._rollbacks_there > ROLLBACKS:
+            raise DivergenceError(f"{error}; going back to the last good model has not helped {ROLLBACKS} times")
+        checkpoint = load_latest(self._session.paths.checkpoints)
+        good = self._beginning if checkpoint is None else (checkpoint.tensors, checkpoint.counters)
+        self._learner.roll_back(*good)
+        for table in (self._training_table, self._evaluation_table):
+            table.truncate_after("update", self.updates)
+        LOG.warning("%s. Going on from the good model of update %d", error, self.updates)
+
     def _wait_for_work(self, stop: threading.Event) -> None:
         """Sleep until there is something to do; before that, let everyone see the newest model."""
         if self._learner.snapshots.updates != self._learner.updates:
@@ -219,4 +250,6 @@ class TrainingRun:
     def _checkpoint(self) -> Path:
         tensors, counters = self._learner.state()
         kept = self._config.training.checkpoints_kept
-        return save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)
+        path = save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)
+        self._beginning = None
+        return path

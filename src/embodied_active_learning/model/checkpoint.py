@@ -11,11 +11,28 @@ from embodied_active_learning.model.cvae import ConditionalVAE
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 NETWORK = "network/"
+EARLIER = "earlier/"
 
 
 def network_weights(tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
     """The network's weights among packed tensors, by the network's own names."""
-    return {key[len(NETWORK) :]: tensor for key, tensor in tensors.items() if key.startswith(NETWORK)}
+    return _unprefixed(tensors, NETWORK)
+
+
+def earlier_weights(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE) -> Dict[str, torch.Tensor]:
+    """The weights of an earlier model among packed tensors, by the network's own names; empty when there are none.
+
+    Raises ConfigError naming a tensor of another shape, CorruptFileError a missing one.
+    """
+    found = _unprefixed(tensors, EARLIER)
+    if found:
+        _check(found, dict(network.named_parameters()))
+    return found
+
+
+def pack_earlier(weights: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
+    """Copies of an earlier model's weights ("earlier/..."), on the CPU."""
+    return {f"{EARLIER}{name}": _copy(tensor) for name, tensor in weights.items()}
 
 
 def pack(network: ConditionalVAE, optimiser: torch.optim.Adam) -> Dict[str, torch.Tensor]:
@@ -32,14 +49,7 @@ def pack(network: ConditionalVAE, optimiser: torch.optim.Adam) -> Dict[str, torc
 
 def unpack(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE, optimiser: torch.optim.Adam) -> None:
     """Put packed tensors back. Raises ConfigError naming a tensor of another shape, CorruptFileError a missing one."""
-    expected = pack(network, optimiser)
-    require(tensors, expected)
-    for key, tensor in expected.items():
-        if tensors[key].shape != tensor.shape:
-            raise ConfigError(
-                f"checkpoint holds {key} as {tuple(tensors[key].shape)}, this configuration makes it"
-                f" {tuple(tensor.shape)}: use the configuration that the session was recorded with"
-            )
+    _check(tensors, pack(network, optimiser))
     names = [name for name, _ in network.named_parameters()]
     network.load_state_dict({name: tensors[f"{NETWORK}{name}"] for name in names})
     moments = [{moment: tensors[f"adam/{moment}/{name}"].clone() for moment in MOMENTS} for name in names]
@@ -52,6 +62,20 @@ def require(found: Mapping[str, Any], keys: Iterable[str]) -> None:
     for key in keys:
         if key not in found:
             raise CorruptFileError(f"checkpoint lacks {key}: it is damaged or was not written by this package")
+
+
+def _check(tensors: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]) -> None:
+    require(tensors, expected)
+    for key, tensor in expected.items():
+        if tensors[key].shape != tensor.shape:
+            raise ConfigError(
+                f"checkpoint holds {key} as {tuple(tensors[key].shape)}, this configuration makes it"
+                f" {tuple(tensor.shape)}: use the configuration that the session was recorded with"
+            )
+
+
+def _unprefixed(tensors: Mapping[str, torch.Tensor], prefix: str) -> Dict[str, torch.Tensor]:
+    return {key[len(prefix) :]: tensor for key, tensor in tensors.items() if key.startswith(prefix)}
 
 
 def _copy(tensor: torch.Tensor) -> torch.Tensor:

@@ -85,6 +85,7 @@ class Learner:
         self.schedule = Schedule(config.objective)
         self.updates = 0
         self.skipped = 0
+        self.rollbacks = 0
         self._images = choose_images(config, self._device)
         self.snapshots = Snapshots(self.network, self._images)
 
@@ -141,27 +142,50 @@ class Learner:
 
     def refresh(self) -> None:
         """Let the snapshots answer from the model as it is now; waits for those who still read the one before last."""
-        self.snapshots.take(self.network, self.updates)
+        self.snapshots.take(dict(self.network.named_parameters()), self.updates)
 
     def state(self) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
-        """Copies of all that a continued run needs: tensors on the CPU, and plain numbers that JSON can hold."""
+        """Copies of all that a continued run needs: tensors on the CPU, and plain numbers that JSON can hold.
+
+        The model before the newest is among them, because it may be the one that is asked for next.
+        """
         counters = {
             "updates": self.updates,
             "skipped": self.skipped,
+            "rollbacks": self.rollbacks,
             "schedule": self.schedule.state_dict(),
             "generator": self._random.bit_generator.state,
         }
-        return checkpoint.pack(self.network, self._optimiser), counters
+        tensors = checkpoint.pack(self.network, self._optimiser)
+        earlier = self.snapshots.weights_before(self.updates)
+        if earlier is not None:
+            weights, counters["earlier_updates"] = earlier
+            tensors.update(checkpoint.pack_earlier(weights))
+        return tensors, counters
 
     def restore(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
         """Go on from state(), as if there had been no interruption. Raises ConfigError if it is of another model."""
-        checkpoint.unpack(tensors, self.network, self._optimiser)
         checkpoint.require(counters, ("updates", "skipped", "schedule", "generator"))
+        earlier = checkpoint.earlier_weights(tensors, self.network)
+        checkpoint.unpack(tensors, self.network, self._optimiser)
         self.updates = int(counters["updates"])
         self.skipped = int(counters["skipped"])
+        self.rollbacks = int(counters.get("rollbacks", 0))
         self.schedule.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
+        if earlier:
+            self.snapshots.take(earlier, int(counters["earlier_updates"]))
         self.refresh()
+
+    def roll_back(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
+        """Go back to state() of a good model, and on from there with other random draws than before.
+
+        What was skipped and how often it was rolled back is not forgotten. Raises as restore does.
+        """
+        skipped, rollbacks = self.skipped, self.rollbacks + 1
+        self.restore(tensors, counters)
+        self.skipped, self.rollbacks = skipped, rollbacks
+        self._random = np.random.Generator(self._random.bit_generator.jumped(rollbacks))
 
     def _attempt(self, count: int, beta: float, gamma: float) -> Loss:
         for _ in range(ATTEMPTS):
@@ -171,8 +195,8 @@ class Learner:
                 return loss
             self.skipped += 1
         raise DivergenceError(
-            f"loss or gradient was not finite for {ATTEMPTS} batches in a row at update {self.updates + 1}:"
-            " go back to the last checkpoint, and lower training/learning_rate if it happens again"
+            f"loss or gradient was not finite for {ATTEMPTS} batches in a row at update {self.updates + 1}: lower"
+            " training/learning_rate"
         )
 
     def _gradients(self, count: int, beta: float, gamma: float) -> Loss:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import threading
 from contextlib import contextmanager
-from typing import Iterator, Tuple
+from typing import Dict, Iterator, Mapping, Optional, Tuple
 
 import numpy as np
 import torch
@@ -88,15 +88,25 @@ class Snapshots:
             latent = found.latent(states, images)
             return latent.mean.cpu().numpy(), latent.std.cpu().numpy(), found.updates
 
-    def take(self, network: ConditionalVAE, updates: int) -> None:
-        """Take over the weights in place of the older copy's, once nobody reads it any more. One thread may call it."""
+    def take(self, weights: Mapping[str, torch.Tensor], updates: int) -> None:
+        """Take over weights by name in place of the older copy's, once nobody reads it any more.
+
+        One thread may call it.
+        """
         (oldest, _), newest = self._order
         found = self._copies[oldest]
         with found.lock, torch.no_grad():
-            for mine, theirs in zip(found.network.parameters(), network.parameters()):
-                mine.copy_(theirs)
+            for name, mine in found.network.named_parameters():
+                mine.copy_(weights[name])
             found.updates = updates
             self._order = newest, (oldest, updates)
+
+    def weights_before(self, updates: int) -> Optional[Tuple[Dict[str, torch.Tensor], int]]:
+        """Weights by name, and their updates, of the newest model with fewer updates; None if there is none."""
+        for index, made in reversed(self._order):
+            if 0 < made < updates:
+                return dict(self._copies[index].network.named_parameters()), made
+        return None
 
     @contextmanager
     def _reading(self, min_updates: int = 0) -> Iterator[Copy]:

@@ -12,7 +12,7 @@ from embodied_active_learning.session.records import RecordLayout
 
 SPARE_BYTES = 200_000_000
 _BYTES_PER_WEIGHT = 4
-_COPIES_WITH_OPTIMISER = 3
+_COPIES_WITH_OPTIMISER = 4  # weights, Adam's two moments, and the weights of the model before
 
 
 def check_space(folder: Path, config: Config, stored_bytes: int = 0) -> None:

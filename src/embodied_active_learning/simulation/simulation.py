@@ -85,7 +85,7 @@ class Simulation:
 
     def move(self, velocity: Sequence[float], duration: float) -> MoveResult:
         """Hold a planar velocity (3,) m/s, m/s, rad/s for a duration, s. Raises CommandError when it is refused."""
-        return self._arm.move(velocity, duration, self._disturbance.actuation)
+        return self._arm.move(velocity, duration, lambda: self._disturbance.actuation(self.time))
 
     def go_to(self, pose: Sequence[float]) -> MoveResult:
         """Go to a planar pose (3,) m, m, rad and stop there. Raises CommandError when it is refused or not reached."""

@@ -1,0 +1,224 @@
+"""Training when arithmetic fails, and when it is ended and begun again: good weights, and one result."""
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import torch
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.model import learner as learner_module
+from embodied_active_learning.model.learner import ATTEMPTS, DivergenceError
+from embodied_active_learning.model.objective import Loss
+from embodied_active_learning.session.checkpoints import load_model
+from embodied_active_learning.training_run import ROLLBACKS, TrainingRun
+
+STEPS = 24
+TIMEOUT = 60.0
+
+
+def configured(root, **session):
+    return Config.from_dict(
+        {
+            "camera": {"width": 45, "height": 45},
+            "training": {
+                "batch_size": 4,
+                "first_update_at": 4,
+                "updates_per_observation": 3,
+                "evaluate_every": 7,
+                "checkpoint_every": 10,
+            },
+            "objective": {"schedule_every": 5},
+            "exploration": {"steps": STEPS, "samples": 50, "fresh_samples": 5},
+            "session": {"name": "run", "root": str(root), **session},
+        }
+    )
+
+
+def observation(index):
+    random = np.random.default_rng(index)
+    state = random.uniform([0.33, -0.14, -1.9], [0.62, 0.14, 1.9])
+    return index, 0.2 * index, state, random.integers(0, 256, (45, 45, 3), dtype=np.uint8)
+
+
+@contextmanager
+def training(run):
+    """The run with its training thread going -> its finish and its errors; stopped and closed when the block ends."""
+    stop, finished, errors = threading.Event(), threading.Event(), []
+
+    def train():
+        try:
+            run.train(stop, lambda report: None, finished.set)
+        except DivergenceError as error:
+            errors.append(error)
+            finished.set()
+
+    thread = threading.Thread(target=train)
+    thread.start()
+    try:
+        yield finished, errors
+    finally:
+        stop.set()
+        run.wake()
+        thread.join(TIMEOUT)
+        run.close()
+        assert not thread.is_alive()
+
+
+def learn(run, last):
+    """Hand over observations up to number `last` and ask, as a planner does, what each model says."""
+    answers = {}
+    for index in range(last):
+        run.observe(*observation(index))
+        awaited = configured("").updates_awaited(index + 1)
+        values, updates, ready = run.log_std(np.linspace(-0.1, 0.1, 12).reshape(4, 3), awaited, TIMEOUT)
+        assert ready
+        if awaited:
+            assert updates == awaited
+            answers[index] = values.tolist()
+    return answers
+
+
+def finish(run):
+    with training(run) as (finished, errors):
+        answers = learn(run, STEPS)
+        assert finished.wait(TIMEOUT)
+        assert not errors
+    return answers
+
+
+def outcome(folder):
+    weights, _ = load_model(folder / "model.safetensors")
+    tables = [(folder / name).read_bytes() for name in ("training.csv", "evaluation.csv")]
+    return tables, {name: tensor.numpy().tobytes() for name, tensor in weights.items()}
+
+
+class FailingLoss:
+    """The plain loss, but not a number (or with a gradient that is none) in the calls of these numbers."""
+
+    def __init__(self, arithmetic, calls, what="loss"):
+        self._loss = arithmetic.loss
+        self._calls = set(calls)
+        self._what = what
+        self.made = 0
+
+    def __call__(self, network, *arguments):
+        loss = self._loss(network, *arguments)
+        self.made += 1
+        if self.made - 1 not in self._calls:
+            return loss
+        if self._what == "loss":
+            return Loss(loss.total * float("nan"), *loss[1:])
+        weight = next(network.parameters())
+        weight.register_hook(lambda gradient: gradient * float("inf"))
+        return loss
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Lets the losses of these calls fail in every learner that is made afterwards."""
+    choose = learner_module.choose_arithmetic
+
+    def fail(calls, what="loss"):
+        def choose_failing(network, device):
+            arithmetic = choose(network, device)
+            return arithmetic._replace(loss=FailingLoss(arithmetic, calls, what))
+
+        monkeypatch.setattr(learner_module, "choose_arithmetic", choose_failing)
+
+    return fail
+
+
+def test_a_loss_that_is_not_a_number_skips_the_batch_and_is_counted(tmp_path, failing):
+    failing([3, 4, 17])
+    run = TrainingRun(configured(tmp_path))
+    finish(run)
+    assert (run.skipped, run.rollbacks) == (3, 0)
+    assert run.updates == 3 * STEPS
+    assert all(torch.isfinite(weight).all() for weight in load_model(run.folder / "model.safetensors")[0].values())
+
+
+def test_after_several_bad_batches_in_a_row_the_last_good_weights_return_and_training_goes_on(tmp_path, failing):
+    failing(range(25, 25 + ATTEMPTS))
+    run = TrainingRun(configured(tmp_path))
+    finish(run)
+    assert (run.skipped, run.rollbacks) == (ATTEMPTS, 1)
+    assert run.updates == 3 * STEPS
+    updates = [line.split(",")[0] for line in (run.folder / "training.csv").read_text().splitlines()[1:]]
+    assert updates == [str(update) for update in range(1, 3 * STEPS + 1)]
+
+
+def test_bad_batches_before_the_first_checkpoint_lead_back_to_the_beginning(tmp_path, failing):
+    failing(range(2, 2 + ATTEMPTS))
+    run = TrainingRun(configured(tmp_path))
+    finish(run)
+    assert run.rollbacks == 1
+    assert run.updates == 3 * STEPS
+
+
+def test_batches_after_a_rollback_are_others_than_before(tmp_path, failing):
+    failing(range(25, 25 + ATTEMPTS))
+    run = TrainingRun(configured(tmp_path / "disturbed"))
+    finish(run)
+    failing([])
+    calm = TrainingRun(configured(tmp_path / "calm"))
+    finish(calm)
+    rows = [(each.folder / "training.csv").read_text().splitlines() for each in (run, calm)]
+    assert rows[0][:21] == rows[1][:21]
+    assert rows[0][21:] != rows[1][21:]
+
+
+def test_training_ends_with_the_reason_when_going_back_does_not_help(tmp_path, failing):
+    failing(range(25, 10000))
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (finished, errors):
+        for index in range(STEPS):
+            run.observe(*observation(index))
+        assert finished.wait(TIMEOUT)
+    assert "not finite" in str(errors[0])
+    assert f"{ROLLBACKS} times" in str(errors[0])
+    assert run.rollbacks == ROLLBACKS
+    again = TrainingRun(configured(tmp_path, resume=True))
+    assert (again.updates, again.observations) == (20, STEPS)
+    again.close()
+
+
+def test_a_gradient_that_is_not_finite_leaves_the_weights_as_they_were(tmp_path, failing):
+    failing([0], "gradient")
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (finished, errors):
+        for index in range(STEPS):
+            run.observe(*observation(index))
+        assert finished.wait(TIMEOUT)
+    assert "not finite" in str(errors[0])
+    assert all(torch.isfinite(weight).all() for weight in run._learner.network.parameters())
+
+
+@pytest.mark.parametrize("last", [5, 9, 13, 20])
+def test_stopping_anywhere_and_going_on_gives_the_same_answers_tables_and_weights_as_not_stopping(tmp_path, last):
+    whole = TrainingRun(configured(tmp_path / "whole"))
+    answers = finish(whole)
+    first = TrainingRun(configured(tmp_path / "stopped"))
+    with training(first):
+        said = learn(first, last)
+    again = TrainingRun(configured(tmp_path / "stopped", resume=True))
+    assert again.observations == last
+    said.update(finish_from(again, last))
+    assert said == answers
+    assert outcome(whole.folder) == outcome(again.folder)
+
+
+def finish_from(run, last):
+    """Go on as a planner does: it asks again about the newest observation, which it may not have heard about."""
+    answers = {}
+    with training(run) as (finished, _):
+        for index in range(last - 1, STEPS):
+            run.observe(*observation(index))
+            awaited = configured("").updates_awaited(index + 1)
+            values, updates, ready = run.log_std(np.linspace(-0.1, 0.1, 12).reshape(4, 3), awaited, TIMEOUT)
+            assert ready
+            assert updates == awaited
+            answers[index] = values.tolist()
+        assert finished.wait(TIMEOUT)
+    return answers
