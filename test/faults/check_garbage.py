@@ -1,0 +1,189 @@
+#!/usr/bin/env python3
+"""Requests full of garbage: each is answered, none moves the arm beyond its limits, and the nodes go on answering."""
+
+import os
+import socket
+import unittest
+from pathlib import Path
+from urllib.parse import urlparse
+
+import numpy as np
+import rospy
+from embodied_active_learning.msg import Observation, PlanarState
+from embodied_active_learning.srv import (
+    CollectFingerprints,
+    Encode,
+    EvaluateEntropy,
+    GetTrajectory,
+    GoToPose,
+    Identify,
+    MoveArm,
+    Observe,
+)
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+import rostest
+from embodied_active_learning.config import Config
+from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
+
+TIMEOUT = 60.0
+REASONABLE = settings(
+    max_examples=60, deadline=None, database=None, derandomize=True, suppress_health_check=list(HealthCheck)
+)
+UINT32 = st.integers(0, 2**32 - 1)
+NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, 1e-300, 1e308, -1e308, 0.1, -0.1, 0.2, 0.5])
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=200)
+TIMES = st.builds(rospy.Time, st.integers(0, 2**32 - 1), st.integers(0, 999999999))
+HEADERS = st.builds(Header, st.just(0), TIMES, TEXTS)
+STATES = st.builds(PlanarState, HEADERS, *[NUMBERS] * 6)
+IMAGES = st.builds(
+    Image,
+    HEADERS,
+    UINT32 | st.just(180),
+    UINT32 | st.just(180),
+    TEXTS | st.sampled_from(["rgb8", "bgr8"]),
+    st.integers(0, 255),
+    UINT32 | st.just(540),
+    st.binary(max_size=64) | st.sampled_from([bytes(97200), bytes(97201), bytes(97199)]),
+)
+OBSERVATIONS = st.builds(Observation, HEADERS, UINT32 | st.integers(0, 3), STATES, IMAGES)
+NAMES = TEXTS | st.sampled_from(
+    ["", ".", "..", "../garbage", "/etc", "~", "a/b", "-x", "x" * 10000, "con\x00", "garbage/..", "%s", "{}"]
+)
+
+
+class GarbageTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.box = Config.from_dict(rospy.get_param("config")).workspace.box()
+        cls.limits = Config.from_dict(rospy.get_param("config")).arm
+        cls.seen = []
+        rospy.Subscriber("arm/state", PlanarState, cls.seen.append, queue_size=1000)
+        cls.move = cls.service("arm/move", MoveArm)
+        cls.go_to = cls.service("arm/go_to", GoToPose)
+        cls.observe = cls.service("trainer/observe", Observe)
+        cls.entropy = cls.service("trainer/entropy", EvaluateEntropy)
+        cls.encode = cls.service("trainer/encode", Encode)
+        cls.trajectory = cls.service("trainer/trajectory", GetTrajectory)
+        cls.identify = cls.service("identify", Identify)
+        cls.fingerprint = cls.service("fingerprint", CollectFingerprints)
+
+    @staticmethod
+    def service(name, service_class):
+        rospy.wait_for_service(name, TIMEOUT)
+        return rospy.ServiceProxy(name, service_class)
+
+    def check_refused(self, answer):
+        self.assertFalse(answer.success)
+        self.assertGreater(len(answer.message), 10)
+        self.assertLess(len(answer.message), 2000)
+        self.assertNotIn("Traceback", answer.message)
+
+    @settings(REASONABLE, max_examples=150)
+    @given(*[NUMBERS] * 4)
+    def test_no_velocity_for_no_duration_leads_out_of_the_workspace_or_above_the_limits(self, vx, vy, omega, duration):
+        answer = self.move(vx, vy, omega, duration)
+        if answer.success:
+            self.check_within_limits(answer.state)
+        else:
+            self.check_refused(answer)
+
+    @given(*[NUMBERS] * 3)
+    @REASONABLE
+    def test_no_pose_leads_out_of_the_workspace(self, x, y, theta):
+        answer = self.go_to(x, y, theta)
+        if answer.success:
+            self.check_within_limits(answer.state)
+        else:
+            self.check_refused(answer)
+
+    def check_within_limits(self, message):
+        state, velocity = state_arrays(message)
+        self.assertTrue(self.box.contains(state), state)
+        fastest = np.array([self.limits.max_speed, self.limits.max_speed, self.limits.max_turn_rate])
+        self.assertTrue(np.all(np.abs(velocity) <= 1.02 * fastest), velocity)
+
+    @given(OBSERVATIONS)
+    @REASONABLE
+    def test_no_observation_that_is_none_is_stored(self, observation):
+        before = len(self.trajectory().states)
+        answer = self.observe(observation)
+        if answer.success:
+            state, _ = state_arrays(observation.state)
+            self.assertTrue(np.all(np.isfinite(state)))
+            self.assertEqual(len(observation.image.data), 97200)
+        else:
+            self.check_refused(answer)
+            self.assertEqual(len(self.trajectory().states), before)
+
+    @given(st.lists(NUMBERS, max_size=40))
+    @REASONABLE
+    def test_states_that_are_none_have_no_entropy(self, states):
+        answer = self.entropy(0, states)
+        if len(states) % 3 or not np.all(np.isfinite(states)):
+            self.check_refused(answer)
+        else:
+            self.assertTrue(answer.success, answer.message)
+
+    def test_more_states_than_a_call_may_have_are_refused(self):
+        self.check_refused(self.entropy(0, [0.0] * 300003))
+
+    def test_a_model_that_will_never_be_is_not_waited_for_for_ever(self):
+        answer = self.entropy(2**32 - 1, [0.475, 0.0, 0.0])
+        self.assertFalse(answer.ready)
+
+    @given(st.lists(STATES, max_size=3), st.lists(IMAGES, max_size=3))
+    @REASONABLE
+    def test_images_that_are_none_are_not_encoded(self, states, images):
+        answer = self.encode(states, images)
+        if answer.success:
+            self.assertTrue(np.all(np.isfinite(answer.means)))
+            self.assertEqual(len(states), len(images))
+        else:
+            self.check_refused(answer)
+
+    @given(NAMES, st.lists(NAMES, max_size=3), UINT32, NAMES)
+    @REASONABLE
+    def test_names_that_are_none_lead_nowhere(self, name, sessions, images, replay):
+        before = self.files_around_the_root()
+        self.check_refused(self.identify(name, sessions, images, replay))
+        self.assertEqual(self.files_around_the_root(), before)
+
+    @staticmethod
+    def files_around_the_root():
+        root = Path(os.environ["ROS_HOME"])
+        around = [root.parent, *(entry for entry in root.iterdir() if entry.name not in ("log", "test_results"))]
+        return sorted(str(path) for folder in around if folder.is_dir() for path in folder.iterdir())
+
+    @given(st.binary(max_size=300))
+    @REASONABLE
+    def test_bytes_that_are_no_connection_leave_the_port_open(self, noise):
+        for name in ("trainer/observe", "arm/move"):
+            uri = urlparse(rospy.get_master().lookupService(rospy.resolve_name(name))[2])
+            with socket.create_connection((uri.hostname, uri.port), TIMEOUT) as connection:
+                connection.sendall(noise)
+
+    def tearDown(self):
+        """Whatever was sent, every node still answers, and the arm has never been where it must not be."""
+        state = np.array([0.475, 0.0, 0.0])
+        answer = self.go_to(*state)
+        self.assertTrue(answer.success, answer.message)
+        count = len(self.trajectory().states) // 3
+        stamp = rospy.Time(count)
+        picture = image_message(stamp, np.full((180, 180, 3), count % 250, np.uint8))
+        good = Observation(Header(stamp=stamp), count, state_message(stamp, state, np.zeros(3)), picture)
+        answer = self.observe(good)
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual(answer.observations, count + 1)
+        self.assertTrue(self.encode([good.state], [picture]).success)
+        self.assertGreater(len(self.fingerprint().message), 10)
+        for message in list(self.seen):
+            self.check_within_limits(message)
+
+
+if __name__ == "__main__":
+    rospy.init_node("check_garbage")
+    rostest.rosrun("embodied_active_learning", "check_garbage", GarbageTest)
