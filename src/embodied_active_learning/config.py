@@ -70,6 +70,12 @@ class ArmConfig:
 
     max_speed: float = setting(0.15, "limit of the camera's speed along each of x and y", "m/s", 0.001, 1.0)
     max_turn_rate: float = setting(1.5, "limit of the camera's yaw rate", "rad/s", 0.001, 2.6)
+    # So much on every axis at once takes four fifths of what a Panda's second joint can do (7.5 rad/s^2), and less of
+    # the others', all over the default workspace. Top speed is reached, and lost, within 0.15 s.
+    max_acceleration: float = setting(
+        1.2, "limit of the change of the camera's speed along each of x and y", "m/s^2", 0.1, 13.0
+    )
+    max_turn_acceleration: float = setting(10.0, "limit of the change of the camera's yaw rate", "rad/s^2", 0.1, 25.0)
     max_duration: float = setting(1.0, "longest time that one velocity may be held", "s", 0.01, 10.0)
     commander_timeout: float = setting(
         5.0, "wall time after its last command for which a commander keeps the arm to itself", "s", 0.1, 600.0
