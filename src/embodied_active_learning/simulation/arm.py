@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from numbers import Real
+from operator import add
 from typing import Callable, Dict, List, Optional, Sequence
 
 import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CommandError, ConfigError
+from embodied_active_learning.motion_limits import MotionLimits
 from embodied_active_learning.simulation import servo
 from embodied_active_learning.simulation.panda_body import PandaBody
 from embodied_active_learning.workspace import STATE_NAMES
@@ -17,10 +20,10 @@ from embodied_active_learning.workspace import STATE_NAMES
 # The arm turns back this far inside the workspace (normalised), so that what little a physics step strays from its
 # command never shows outside.
 _MARGIN = 3e-4
-_ARRIVAL_GAIN = 20.0  # 1/s
 _ARRIVED = np.array([5e-5, 5e-5, 5e-4])  # m, m, rad
 _AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
-_STOP_STEPS = 100
+_SETTLING_STEPS = 100
+_REST = [0.0, 0.0, 0.0]
 _REACH_GRID = (5, 5, 3)  # poses tried along x, y and theta: odd, so that the middle is among them
 
 
@@ -40,16 +43,13 @@ class SimulatedArm:
         """Stand at simulation/start. Raises ConfigError when the arm cannot reach all of the workspace."""
         self._workspace = config.workspace.box()
         self._height = config.camera.distance
-        self._limits = config.arm
-        self._speeds = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
-        margin = _MARGIN * self._workspace.scale
-        self._lower = np.asarray(self._workspace.lower) + margin
-        self._upper = np.asarray(self._workspace.upper) - margin
-        self._ranges = list(zip(self._lower.tolist(), self._upper.tolist(), self._speeds.tolist()))
+        self._max_duration = config.arm.max_duration
+        self._limits = MotionLimits.from_config(config, _MARGIN)
+        self._commanded = [0.0] * len(STATE_NAMES)
         self._body = PandaBody(config.simulation.physics_rate)
         try:
             self._check_reach()
-            self._place(np.clip(config.simulation.start, self._lower, self._upper))
+            self._place(np.clip(config.simulation.start, self._limits.lower, self._limits.upper))
         except ConfigError:
             self.close()
             raise
@@ -99,35 +99,37 @@ class SimulatedArm:
     ) -> MoveResult:
         """Hold a planar velocity (3,) m/s, m/s, rad/s for a duration, s, as far as limits allow.
 
+        The arm keeps the velocity that it ends with: the next move goes on from it. Limited is a velocity that speed
+        limits, workspace or joints cut, or that the acceleration limit kept the arm from reaching at all; one that it
+        merely took some time to reach is not.
+
         The error, drawn once the command is accepted, is what an imperfect arm adds to the legal velocity (3,). Raises
-        CommandError, with the arm where it was, for what no arm should be told.
+        CommandError, with the arm where and as it was, for what no arm should be told.
         """
         wanted = _three_numbers(velocity, "velocity")
-        if not 0.0 < duration <= self._limits.max_duration:
-            raise CommandError(
-                f"duration {duration} s is refused: give more than 0 and at most {self._limits.max_duration:g} s "
-                "(arm/max_duration)"
-            )
-        legal = self._slowed(wanted)
-        limited = bool(np.any(legal != wanted))
-        held = legal if error is None else self._slowed(legal + error())
-        for _ in range(max(1, round(duration / self._body.period))):
+        steps = max(1, round(self._checked_duration(duration) / self._body.period))
+        legal = self._limits.slowed(wanted)
+        held = legal if error is None else self._limits.slowed([*map(add, legal, error().tolist())])
+        limited = legal != wanted
+        for _ in range(steps):
             limited |= self._tick(held)
-        return MoveResult(self.pose, self.velocity, limited)
+        return MoveResult(self.pose, self.velocity, limited or self._limits.differ(self._commanded, held))
 
     def go_to(self, pose: Sequence[float]) -> MoveResult:
-        """Go straight to a planar pose (3,) m, m, rad within the speed limits and stop there.
+        """Go straight to a planar pose (3,) m, m, rad within the limits and stop there, without overshooting.
 
         Raises CommandError for a pose outside the workspace, and when the arm does not get there in time.
         """
-        target = _three_numbers(pose, "pose")
+        target = np.array(_three_numbers(pose, "pose"))
         if not self._workspace.contains(target, tolerance=1e-9):
             raise CommandError(
                 f"pose {target.tolist()} is refused: it lies outside the workspace, "
                 f"{list(self._workspace.lower)} to {list(self._workspace.upper)} for {', '.join(STATE_NAMES)}"
             )
-        target = np.clip(target, self._lower, self._upper)
-        allowed = 2.0 + 2.0 * float(np.max(np.abs(target - self._pose) / self._speeds))
+        target = np.clip(target, self._limits.lower, self._limits.upper)
+        allowed = 2.0 + 2.0 * (
+            self._limits.braking_time(self._commanded) + self._limits.travel_time(self._pose, target)
+        )
         deadline = self.time + allowed
         limited = False
         while np.any(np.abs(target - self._pose) > _ARRIVED):
@@ -137,41 +139,40 @@ class SimulatedArm:
                     f"pose {target.tolist()} was not reached in {allowed:.1f} s: the arm stopped at "
                     f"{self._pose.tolist()}"
                 )
-            limited |= self._tick(self._slowed(_ARRIVAL_GAIN * (target - self._pose)))
+            limited |= self._tick(self._limits.approach(self._pose.tolist(), target.tolist(), self._body.period))
         self.stop()
         return MoveResult(self.pose, self.velocity, limited)
 
     def stop(self) -> MoveResult:
-        """Stop now. Raises CommandError when the arm keeps moving."""
-        for _ in range(_STOP_STEPS):
-            self._tick(np.zeros(3))
+        """Come to rest as fast as the acceleration limit allows. Raises CommandError when the arm keeps moving."""
+        braking_steps = round(self._limits.braking_time(self._commanded) / self._body.period)
+        for _ in range(braking_steps + _SETTLING_STEPS):
+            self._tick(_REST)
             if np.all(np.abs(self.velocity) <= _AT_REST):
                 return MoveResult(self.pose, self.velocity, limited=False)
         raise CommandError(f"the arm did not come to rest: it moves at {self.velocity.tolist()}")
 
-    def _slowed(self, velocity: np.ndarray) -> np.ndarray:
-        """The velocity (3,) in its own direction, at the highest legal speed at most."""
-        return velocity / max(1.0, float(np.max(np.abs(velocity) / self._speeds)))
-
-    def _tick(self, velocity: np.ndarray) -> bool:
-        """One physics step at a planar velocity (3,), cut where it would leave the workspace; whether it was cut."""
+    def _tick(self, velocity: List[float]) -> bool:
+        """One physics step at the legal velocity next to a planar one (3,); whether more than inertia changed it."""
         period = self._body.period
-        asked = velocity.tolist()
-        inside = self._cut(asked, period)
+        legal = self._limits.next_velocity(self._pose.tolist(), self._commanded, velocity, period)
         joints = self._body.joints()
-        twist = servo.held_twist(inside, self._position, self._orientation, self._height)
+        twist = servo.held_twist(legal.velocity, self._position, self._orientation, self._height)
         wanted = servo.joint_velocities(self._body.jacobian(joints), twist, joints)
+        # The joints' own limits have the last word: where they slow the arm, it may brake harder than it is asked to.
         share = servo.share_within_limits(wanted, joints, period)
         self._body.drive(joints, share * wanted)
+        self._commanded = [share * speed for speed in legal.velocity]
         self._sense()
-        return share < 1.0 or inside != asked
+        return share < 1.0 or legal.cut
 
-    def _cut(self, velocity: List[float], period: float) -> List[float]:
-        """A planar velocity (3,) as far as it stays in the workspace for a period, s; from outside it leads back."""
-        return [
-            min(max(speed, min((lower - at) / period, top)), max((upper - at) / period, -top))
-            for speed, at, (lower, upper, top) in zip(velocity, self._pose.tolist(), self._ranges)
-        ]
+    def _checked_duration(self, duration: float) -> float:
+        if not (isinstance(duration, Real) and 0.0 < duration <= self._max_duration):
+            raise CommandError(
+                f"duration {duration!r} s is refused: give more than 0 and at most {self._max_duration:g} s "
+                "(arm/max_duration)"
+            )
+        return float(duration)
 
     def _sense(self) -> None:
         self._position, self._orientation, self._twist = self._body.optical_frame()
@@ -186,17 +187,17 @@ class SimulatedArm:
 
     def _check_reach(self) -> None:
         # Corners alone do not tell: close to the base the elbow folds to its limit in the middle of an edge first.
-        axes = (np.linspace(*limits) for limits in zip(self._lower, self._upper, _REACH_GRID))
+        axes = (np.linspace(*limits) for limits in zip(self._limits.lower, self._limits.upper, _REACH_GRID))
         for pose in itertools.product(*axes):
             self._place(np.array(pose))
 
 
-def _three_numbers(values: Sequence[float], name: str) -> np.ndarray:
-    """(3,) float64, or CommandError."""
+def _three_numbers(values: Sequence[float], name: str) -> List[float]:
+    """Three floats, or CommandError."""
     try:
         numbers = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.empty(0)
     if numbers.shape != (len(STATE_NAMES),) or not np.isfinite(numbers).all():
         raise CommandError(f"{name} {values!r} is refused: give {len(STATE_NAMES)} finite numbers")
-    return numbers
+    return numbers.tolist()

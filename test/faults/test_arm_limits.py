@@ -1,0 +1,181 @@
+"""Whatever a simulated arm is told, it stays in its workspace and within its limits of speed and acceleration.
+
+Judged by where its body truly is after every physics step, not by what the arm says of itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from embodied_active_learning.config import Config, SimulationConfig
+from embodied_active_learning.errors import CommandError
+from embodied_active_learning.simulation import servo
+from embodied_active_learning.simulation.arm import SimulatedArm
+
+CONFIG = Config()
+BOX = CONFIG.workspace.box()
+TOP_SPEED = np.array([0.15, 0.15, 1.5])
+ACCELERATION = np.array([1.2, 1.2, 10.0])
+# rad/s^2: what libfranka's rate limiter lets the joints of a Panda do
+JOINT_ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
+# What a body at full speed strays from its command, as a part of the limits ...
+TOLERANCE = 0.02
+# ... and how finely PyBullet tells its poses (single precision), which shows in differences of them.
+RESOLUTION = np.array([6e-8, 6e-8, 3e-7])
+
+
+class Witness:
+    """Writes down the true pose after every physics step of an arm, and the velocities that its joints had in it."""
+
+    def __init__(self, arm):
+        self._body, self._drive = arm._body, arm._body.drive
+        self.poses = [self._pose()] * 2  # at rest
+        self.joint_velocities = [np.zeros(len(JOINT_ACCELERATION))]
+        self._body.drive = self._drive_and_look
+
+    def _drive_and_look(self, joints, joint_velocities):
+        self._drive(joints, joint_velocities)
+        self.joint_velocities.append(joint_velocities)
+        self.poses.append(self._pose())
+
+    def _pose(self):
+        position, orientation, _ = self._body.optical_frame()
+        return servo.planar_pose(position, orientation)
+
+    def assert_all_limits_kept(self):
+        velocities = np.diff(self.poses, axis=0) / self._body.period
+        accelerations = np.diff(velocities, axis=0) / self._body.period
+        assert np.all(BOX.contains(np.array(self.poses)))
+        assert_within(velocities, TOP_SPEED, RESOLUTION / self._body.period)
+        assert_within(accelerations, ACCELERATION, 2.0 * RESOLUTION / self._body.period**2)
+
+    def assert_no_joint_near_its_limit(self):
+        accelerations = np.diff(self.joint_velocities, axis=0) / self._body.period
+        assert_within(accelerations, 0.85 * JOINT_ACCELERATION, 0.0)
+
+
+def assert_within(values, limit, unresolved):
+    largest = np.max(np.abs(values), axis=0, initial=0.0)
+    assert np.all(largest <= (1.0 + TOLERANCE) * limit + unresolved), largest
+
+
+@contextlib.contextmanager
+def witnessed_arm(config=CONFIG):
+    """An arm, and the witness of all its motion, whose word ends the test."""
+    arm = SimulatedArm(config)
+    try:
+        witness = Witness(arm)
+        yield arm, witness
+        witness.assert_all_limits_kept()
+    finally:
+        arm.close()
+
+
+anything = st.one_of(
+    st.floats(), st.sampled_from([1e308, -1e308, 5e-324, math.nan, math.inf, 10**400, None, "1", b"", ()])
+)
+legal_velocities = st.tuples(*(st.floats(-1.5 * top, 1.5 * top) for top in TOP_SPEED))
+velocities = st.one_of(
+    legal_velocities,
+    st.sampled_from(list(itertools.product(*zip(-TOP_SPEED, TOP_SPEED)))),
+    st.tuples(*(st.floats(allow_nan=False, allow_infinity=False),) * 3),
+    st.lists(anything, max_size=4),
+    anything,
+)
+durations = st.one_of(st.floats(0.001, 0.5), anything)
+errors = st.one_of(st.none(), st.tuples(*(st.floats(-10.0 * top, 10.0 * top) for top in TOP_SPEED)))
+poses = st.one_of(
+    st.tuples(*(st.floats(low, high) for low, high in zip(BOX.lower, BOX.upper))),
+    st.sampled_from(list(itertools.product(*zip(BOX.lower, BOX.upper)))),
+    st.lists(anything, max_size=4),
+    anything,
+)
+commands = st.one_of(
+    st.tuples(st.just("move"), velocities, durations, errors),
+    st.tuples(st.just("go_to"), poses),
+    st.tuples(st.just("stop")),
+)
+
+
+def state_of(arm):
+    return [*arm.pose, *arm.velocity, arm.time, *arm.joint_positions.values(), *arm.joint_velocities.values()]
+
+
+def tell(arm, command, *arguments):
+    """Give one command; a refused one must leave the arm where and as it was."""
+    before = state_of(arm)
+    if command == "move":
+        velocity, duration, error = arguments
+        arguments = velocity, duration, None if error is None else lambda: np.array(error)
+    refusal = None
+    try:
+        getattr(arm, command)(*arguments)
+    except CommandError as error:
+        refusal = str(error)
+    if refusal is not None:
+        assert "is refused" in refusal
+        np.testing.assert_array_equal(state_of(arm), before)
+
+
+@given(st.lists(commands, min_size=1, max_size=8))
+@settings(max_examples=60, deadline=None)
+@example(
+    [("move", tuple(TOP_SPEED), 0.5, None), ("go_to", BOX.lower), ("move", tuple(TOP_SPEED), 0.3, None), ("stop",)]
+)
+def test_no_sequence_of_commands_takes_the_arm_over_a_limit(sequence):
+    with witnessed_arm() as (arm, _):
+        for command in sequence:
+            tell(arm, *command)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_an_arm_that_misses_its_commands_keeps_its_limits_all_the_same(seed):
+    generator = np.random.default_rng(seed)
+    with witnessed_arm() as (arm, _):
+        for _ in range(50):
+            wanted = generator.uniform(-2.0, 2.0, 3) * TOP_SPEED
+            arm.move(wanted, generator.uniform(0.005, 0.4), lambda: generator.standard_normal(3) * TOP_SPEED)
+
+
+def test_the_default_limits_leave_the_joints_of_a_panda_room_when_velocities_are_reversed():
+    generator = np.random.default_rng(0)
+    with witnessed_arm() as (arm, witness):
+        for corner in itertools.product(*zip(BOX.lower, BOX.upper)):
+            arm.go_to(corner)
+            for _ in range(20):
+                arm.move(generator.choice([-1.0, 1.0], 3) * TOP_SPEED, 0.3)
+        witness.assert_no_joint_near_its_limit()
+
+
+@pytest.mark.parametrize("rate", [60, 240, 1000])
+@pytest.mark.parametrize("direction", [(1, 1, 1), (1, -1, 1), (-1, 1, -1), (-1, -1, 1)])
+def test_a_move_into_a_corner_at_full_speed_is_stopped_inside_it(rate, direction):
+    config = dataclasses.replace(CONFIG, simulation=SimulationConfig(physics_rate=rate))
+    with witnessed_arm(config) as (arm, _):
+        limited = [arm.move(np.array(direction) * TOP_SPEED, 0.48).limited for _ in range(4)]
+        assert limited == [False, False, True, True]
+        np.testing.assert_allclose(BOX.normalise(arm.pose), direction, atol=1e-3)
+        np.testing.assert_allclose(arm.velocity, np.zeros(3), atol=1e-2)
+        assert abs(arm.camera_height - CONFIG.camera.distance) < 1e-3
+        assert arm.tilt < 0.005
+
+
+@pytest.mark.parametrize("rate", [60, 240])
+def test_going_to_a_corner_while_moving_away_turns_round_and_does_not_overshoot(rate):
+    config = dataclasses.replace(CONFIG, simulation=SimulationConfig(physics_rate=rate))
+    with witnessed_arm(config) as (arm, witness):
+        arm.move((0.15, 0.15, -1.5), 0.3)
+        goal = (0.35, -0.12, 1.8)
+        result = arm.go_to(goal)
+        assert not result.limited
+        np.testing.assert_allclose(result.velocity, np.zeros(3), atol=1e-3)
+        beyond = (np.array(witness.poses) - goal) * [-1, -1, 1]
+        assert np.all(beyond <= [1e-5, 1e-5, 1e-4])
