@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from embodied_active_learning.errors import CommandError
+from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
 from embodied_active_learning.ros.commander import Commander
 
 
@@ -24,7 +24,7 @@ def test_a_second_node_is_refused_with_the_name_of_the_first():
     commander = Commander(5.0, Clock())
     with commander.command(request("/ergodic_planner")):
         pass
-    with pytest.raises(CommandError, match="driven by /ergodic_planner"), commander.command(request("/fingerprinter")):
+    with pytest.raises(ArmBusyError, match="driven by /ergodic_planner"), commander.command(request("/fingerprinter")):
         pass
 
 
@@ -44,7 +44,7 @@ def test_the_time_of_a_long_command_does_not_free_the_arm():
     commander = Commander(5.0, clock)
     with commander.command(request("/ergodic_planner")):
         clock.now = 100.0
-        with pytest.raises(CommandError, match="carrying out"), commander.command(request("/fingerprinter")):
+        with pytest.raises(ArmBusyError, match="carrying out"), commander.command(request("/fingerprinter")):
             pass
 
 
@@ -54,7 +54,7 @@ def test_a_stop_by_another_node_lasts_until_somebody_recovers_the_arm():
         pass
     with commander.stop(request("/operator")):
         pass
-    with pytest.raises(CommandError, match="stopped by /operator"), commander.command(request("/ergodic_planner")):
+    with pytest.raises(ArmStoppedError, match="stopped by /operator"), commander.command(request("/ergodic_planner")):
         pass
     commander.recover()
     with commander.command(request("/ergodic_planner")):
@@ -89,7 +89,7 @@ def test_a_driver_that_stops_its_arm_amid_a_command_gives_it_back_after_the_comm
     with commander.command(request("/ergodic_planner")):
         with commander.stop(request("/ergodic_planner")):
             pass
-        with pytest.raises(CommandError, match="carrying out"), commander.command(request("/fingerprinter")):
+        with pytest.raises(ArmBusyError, match="carrying out"), commander.command(request("/fingerprinter")):
             pass
     assert commander.holder == ""
 
@@ -104,16 +104,94 @@ def test_a_stop_by_the_last_driver_stops_the_next_one_like_anybody_elses():
         pass
     with commander.stop(request("/ergodic_planner")):
         pass
-    with pytest.raises(CommandError, match="stopped by /ergodic_planner"), commander.command(request("/fingerprinter")):
+    with pytest.raises(ArmStoppedError, match="stopped by /ergodic_planner"), commander.command(
+        request("/fingerprinter")
+    ):
         pass
 
 
-def test_a_stop_of_an_arm_that_nobody_drives_holds_nobody_up():
+def test_a_stop_of_an_arm_that_nobody_drives_lasts_as_well():
     commander = Commander(5.0, Clock())
+    with commander.stop(request("/operator")) as lasts:
+        assert lasts
+    with pytest.raises(ArmStoppedError, match="/operator"), commander.command(request("/ergodic_planner")):
+        pass
+
+
+def test_a_driver_that_stops_its_arm_when_its_time_has_lapsed_holds_nobody_up():
+    clock = Clock()
+    commander = driven(clock)
+    clock.now = 5.1
+    with commander.stop(request("/ergodic_planner")) as lasts:
+        assert not lasts
+    with commander.command(request("/fingerprinter")):
+        pass
+
+
+def test_a_driver_that_says_it_is_alive_keeps_the_arm_between_commands():
+    clock = Clock()
+    commander = driven(clock)
+    for clock.now in (4.0, 8.0, 12.0):
+        commander.keep(request("/ergodic_planner"))
+    assert commander.holder == "/ergodic_planner"
+    clock.now = 17.1
+    assert commander.holder == ""
+
+
+def test_only_the_driver_keeps_the_arm_and_only_while_it_has_it():
+    clock = Clock()
+    commander = driven(clock)
+    with pytest.raises(ArmBusyError, match="driven by /ergodic_planner, not by /fingerprinter"):
+        commander.keep(request("/fingerprinter"))
+    clock.now = 5.1
+    with pytest.raises(ArmBusyError, match="driven by nobody, not by /ergodic_planner"):
+        commander.keep(request("/ergodic_planner"))
+
+
+def test_a_stopped_arm_is_kept_by_nobody_and_takes_no_command_until_it_is_recovered():
+    commander = driven(Clock())
     with commander.stop(request("/operator")):
         pass
+    assert (commander.holder, commander.stopped_by) == ("", "/operator")
+    with pytest.raises(ArmStoppedError, match="call arm/recover"):
+        commander.keep(request("/ergodic_planner"))
+    commander.recover()
+    assert commander.stopped_by == ""
+
+
+def test_a_driver_that_falls_silent_is_told_of_once():
+    clock = Clock()
+    commander = driven(clock)
+    assert commander.take_lapsed() == ""
+    clock.now = 5.1
+    assert commander.take_lapsed() == "/ergodic_planner"
+    assert commander.take_lapsed() == ""
+
+
+def test_a_driver_that_has_given_the_arm_back_does_not_fall_silent():
+    clock = Clock()
+    commander = driven(clock)
+    with commander.stop(request("/ergodic_planner")):
+        pass
+    clock.now = 5.1
+    assert commander.take_lapsed() == ""
+
+
+def test_the_last_command_was_so_long_ago():
+    clock = Clock()
+    assert Commander(5.0, clock).silence is None
+    commander = driven(clock)
+    clock.now = 2.5
+    commander.keep(request("/ergodic_planner"))
+    assert commander.silence == 2.5
+
+
+def driven(clock):
+    """A commander that has taken a command of the planner."""
+    commander = Commander(5.0, clock)
     with commander.command(request("/ergodic_planner")):
         pass
+    return commander
 
 
 def test_a_command_that_fails_does_not_leave_the_arm_busy():

@@ -2,16 +2,25 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import rospy
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import CommandError, ObservationError, UnansweredError
+from embodied_active_learning.errors import (
+    ArmBusyError,
+    ArmFailedError,
+    ArmStoppedError,
+    CommandError,
+    ObservationError,
+    UnansweredError,
+)
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.ros import guided_arm
 from embodied_active_learning.ros.conversions import state_message
+from embodied_active_learning.ros.diagnostics import ERROR, WARN, Health
 
 FORWARD = VelocityCommand(0.1, 0.0, 0.0, 0.2)
 REACHED = state_message(rospy.Time(1), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -23,6 +32,7 @@ class Arm:
     def __init__(self):
         self.told = []
         self.failures = []
+        self.keeps = 0
         self.answers = threading.Event()
         self.answers.set()
 
@@ -34,6 +44,10 @@ class Arm:
 
     def stop(self):
         self._answer(("stop",))
+
+    def keep(self):
+        self.keeps += 1
+        return True
 
     def _answer(self, told):
         self.told.append(told)
@@ -91,7 +105,7 @@ def test_a_refused_command_becomes_standing_still_until_the_arm_takes_that(arm, 
     assert guided.execute(FORWARD) is REACHED
     assert arm.told == [("move", 0.1, 0.0, 0.0), ("move", 0.0, 0.0, 0.0), ("move", 0.0, 0.0, 0.0)]
     assert guided.held
-    assert guided.trouble == "refused again"
+    assert guided.trouble.startswith("refused again (try 2 of 6, the next in ")
     guided.look(REACHED)
     assert guided.trouble == ""
     guided.execute(FORWARD)
@@ -116,8 +130,8 @@ def test_an_image_is_awaited_standing_still(arm, camera, guided):
 @pytest.mark.parametrize("act", [lambda arm: arm.execute(FORWARD), lambda arm: arm.go_to((0.4, 0.1, 1.0))])
 def test_when_patience_has_ended_the_last_refusal_is_raised(arm, camera, act):
     guided = guided_arm.GuidedArm(Config(), patience=0.2)
-    arm.failures = [CommandError(f"refusal {count}") for count in range(10**4)]
-    with pytest.raises(CommandError, match="refusal") as refusal:
+    arm.failures = [ArmBusyError(f"refusal {count}") for count in range(10**4)]
+    with pytest.raises(ArmBusyError, match="refusal") as refusal:
         act(guided)
     assert str(refusal.value) == f"refusal {len(arm.told) - 1}"
     assert len(arm.told) > 1
@@ -135,11 +149,91 @@ def test_when_patience_has_ended_the_missing_image_is_told(arm, camera):
 def test_patience_for_an_image_counts_the_refusals_meanwhile(arm, camera):
     guided = guided_arm.GuidedArm(Config(), patience=0.2)
     camera.failures = [ObservationError("no image")]
-    arm.failures = [CommandError("refused") for _ in range(10**4)]
+    arm.failures = [ArmStoppedError("refused") for _ in range(10**4)]
     started = time.monotonic()
     with pytest.raises(CommandError, match="refused"):
         guided.look(REACHED)
     assert time.monotonic() - started < 2.0
+
+
+@pytest.mark.parametrize("error_class", [CommandError, ArmFailedError])
+@pytest.mark.parametrize("act", [lambda arm: arm.execute(FORWARD), lambda arm: arm.go_to((0.4, 0.1, 1.0))])
+def test_an_arm_that_goes_on_failing_is_given_up_and_stopped(arm, guided, act, error_class):
+    arm.failures = [error_class("in reflex mode") for _ in range(10**4)]
+    with pytest.raises(error_class, match=r"in reflex mode \(gave up after 6 tries\)"):
+        act(guided)
+    assert len(arm.told) == 6
+    assert guided.trouble == "", "nobody is trying any more"
+    arm.failures.clear()
+    guided.stop()
+    assert arm.told[-1] == ("stop",), "it may still move"
+
+
+def test_an_arm_that_can_only_stand_still_is_given_up_as_well(arm, guided):
+    def step():
+        arm.failures = [CommandError("refused")]
+        guided.execute(FORWARD)
+
+    for _ in range(5):
+        step()
+    with pytest.raises(CommandError, match="gave up after 6 tries"):
+        step()
+
+
+def test_an_arm_that_recovers_within_its_tries_has_them_all_again(arm, guided):
+    for _ in range(3):
+        arm.failures = [ArmFailedError("in reflex mode") for _ in range(5)]
+        guided.execute(FORWARD)
+        guided.execute(FORWARD)
+    assert arm.told[-1] == ("move", 0.1, 0.0, 0.0)
+
+
+def test_tries_come_at_growing_intervals(arm, guided, monkeypatch):
+    waits = []
+    monkeypatch.setattr(guided_arm, "pause", waits.append)
+    monkeypatch.setattr(guided_arm, "LONGEST_RETRY_PERIOD", 0.05)
+    arm.failures = [ArmFailedError("in reflex mode") for _ in range(5)]
+    guided.execute(FORWARD)
+    assert waits == [0.01, 0.02, 0.04, 0.05, 0.05]
+
+
+@pytest.mark.parametrize("error_class", [ArmStoppedError, ArmBusyError, UnansweredError])
+def test_what_only_time_or_a_person_can_mend_is_waited_for(arm, guided, error_class):
+    arm.failures = [error_class("not now") for _ in range(20)]
+    assert guided.execute(FORWARD) is REACHED
+    assert len(arm.told) == 21
+    assert guided.health("exploring") == Health(ERROR, "the arm stands still: not now")
+
+
+def test_health_tells_of_a_pause_and_of_whom_it_awaits(guided):
+    assert guided.health("exploring") == Health(message="exploring")
+    guided.pause("a call of /planner/resume")
+    assert guided.health("exploring") == Health(WARN, "paused, waiting for a call of /planner/resume")
+
+
+def test_the_arm_is_kept_while_its_driver_waits_and_no_longer_when_it_has_given_it_back(arm, camera):
+    timeout = 0.3
+    guided = guided_arm.GuidedArm(replace(Config(), arm=replace(Config().arm, commander_timeout=timeout)))
+    time.sleep(timeout)
+    assert arm.keeps == 0, "it has not commanded anything yet"
+    guided.execute(FORWARD)
+    wait_for(lambda: arm.keeps > 4)
+    assert guided.is_ours, "longer than the arm grants after a command"
+    guided.stop()
+    assert not guided.is_ours
+    kept = arm.keeps
+    time.sleep(timeout)
+    assert arm.keeps <= kept + 1, "one may have been under way"
+    assert not guided.is_ours
+
+
+def test_an_arm_that_was_lost_is_not_ours_any_more(arm, camera):
+    arm.keep = lambda: False
+    guided = guided_arm.GuidedArm(replace(Config(), arm=replace(Config().arm, commander_timeout=0.3)))
+    guided.execute(FORWARD)
+    wait_for(lambda: not guided.is_ours)
+    guided.stop()
+    assert ("stop",) not in arm.told
 
 
 def test_a_stop_gives_the_arm_back_and_is_asked_for_once(arm, guided):
@@ -152,7 +246,7 @@ def test_a_stop_gives_the_arm_back_and_is_asked_for_once(arm, guided):
 
 
 def test_an_arm_that_another_node_drives_is_not_stopped(arm, guided):
-    arm.failures = [CommandError("driven by another node") for _ in range(10**4)]
+    arm.failures = [ArmBusyError("driven by another node") for _ in range(10**4)]
     command = in_a_thread(guided.execute, FORWARD)
     wait_for(lambda: len(arm.told) > 2)
     guided.stop()

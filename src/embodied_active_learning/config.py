@@ -60,7 +60,14 @@ class CameraConfig:
     field_of_view: float = setting(30.0, "vertical field of view", "deg", 1.0, 150.0)
     distance: float = setting(0.3, "height of the camera above the table", "m", 0.05, 2.0)
     max_age: float = setting(
-        1.0, "wall time without a new image after which the planner says so and waits", "s", 0.05, 60.0
+        1.0,
+        "time without a new image, and age of image or pose, beyond which the arm is held still",
+        "s",
+        0.05,
+        60.0,
+    )
+    allow_featureless: bool = setting(
+        False, "accept images of one single colour, as of a plain table without noise; else the arm is held still"
     )
 
 
@@ -78,7 +85,10 @@ class ArmConfig:
     max_turn_acceleration: float = setting(10.0, "limit of the change of the camera's yaw rate", "rad/s^2", 0.1, 25.0)
     max_duration: float = setting(1.0, "longest time that one velocity may be held", "s", 0.01, 10.0)
     commander_timeout: float = setting(
-        5.0, "wall time after its last command for which a commander keeps the arm to itself", "s", 0.1, 600.0
+        5.0, "wall time after its last sign of life for which a commander keeps the arm to itself", "s", 0.1, 600.0
+    )
+    retries: int = setting(
+        5, "how often in a row commands that fail are tried again, with growing pauses, before giving up", "", 0, 100
     )
 
 

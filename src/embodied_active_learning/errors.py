@@ -29,6 +29,18 @@ class CommandError(EmbodiedActiveLearningError, ValueError):
     """A motion command was refused, and the arm stands still."""
 
 
+class ArmFailedError(CommandError):
+    """The arm took a command and did not carry it out: a reflex, or a pose that was not reached."""
+
+
+class ArmStoppedError(CommandError):
+    """Somebody stopped the arm: it takes no command until arm/recover is called."""
+
+
+class ArmBusyError(CommandError):
+    """Another node drives the arm, or it is carrying out a command."""
+
+
 class BusyError(EmbodiedActiveLearningError):
     """What was asked for can be done only once at a time, and is under way."""
 

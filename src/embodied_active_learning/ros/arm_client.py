@@ -1,4 +1,4 @@
-"""A commander's side of the arm: commands that report refusal as an error."""
+"""A commander's side of the arm: commands that report as an error what was not done."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import Any, Sequence
 import rospy
 from std_srvs.srv import Trigger
 
-from embodied_active_learning.errors import CommandError, UnansweredError
+from embodied_active_learning.errors import ArmFailedError, UnansweredError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.causes import error_of
 from embodied_active_learning.ros.node import wait_until
-from embodied_active_learning.ros.services import TRANSPORT_ERRORS, saying_who_is_awaited
+from embodied_active_learning.ros.services import HANDLER_FAILED, TRANSPORT_ERRORS, saying_who_is_awaited
 from embodied_active_learning.srv import GoToPose, MoveArm
 
 
@@ -22,6 +23,7 @@ class ArmClient:
         self._move = rospy.ServiceProxy(names.ARM_MOVE, MoveArm)
         self._go_to = rospy.ServiceProxy(names.ARM_GO_TO, GoToPose)
         self._stop = rospy.ServiceProxy(names.ARM_STOP, Trigger)
+        self._keep = rospy.ServiceProxy(names.ARM_KEEP, Trigger)
 
     def wait(self) -> None:
         """Return once the arm offers its services. Raises ShutdownRequestedError."""
@@ -29,26 +31,39 @@ class ArmClient:
 
     def move(self, velocity: Sequence[float], duration: float) -> PlanarState:
         """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s] -> the state reached. Raises CommandError."""
-        return self._answer(self._move, *map(float, velocity), duration).state
+        return _command(self._move, *map(float, velocity), duration)
 
     def go_to(self, pose: Sequence[float]) -> PlanarState:
         """Go to pose (3,) [m, m, rad] and stop there -> the state reached. Raises CommandError."""
-        return self._answer(self._go_to, *map(float, pose)).state
+        return _command(self._go_to, *map(float, pose))
 
     def stop(self) -> None:
         """Stop now. Raises CommandError when the arm does not confirm."""
-        self._answer(self._stop)
-
-    @staticmethod
-    def _answer(service: Any, *arguments: float) -> Any:
-        try:
-            with saying_who_is_awaited(service.resolved_name):
-                answer = service(*arguments)
-        except TRANSPORT_ERRORS as error:
-            raise UnansweredError(f"{service.resolved_name} did not answer: {error}") from error
+        with saying_who_is_awaited(self._stop.resolved_name):
+            answer = _ask(self._stop)
         if not answer.success:
-            raise CommandError(answer.message)
-        return answer
+            raise ArmFailedError(answer.message)
+
+    def keep(self) -> bool:
+        """Tell the arm that this node goes on driving it -> whether it still does. Raises CommandError."""
+        return _ask(self._keep).success
+
+
+def _command(service: Any, *arguments: float) -> PlanarState:
+    with saying_who_is_awaited(service.resolved_name):
+        answer = _ask(service, *arguments)
+    if not answer.success:
+        raise error_of(answer.cause, answer.message)
+    return answer.state
+
+
+def _ask(service: Any, *arguments: float) -> Any:
+    try:
+        return service(*arguments)
+    except TRANSPORT_ERRORS as error:
+        if HANDLER_FAILED in str(error):
+            raise ArmFailedError(f"{service.resolved_name} failed: {error}") from error
+        raise UnansweredError(f"{service.resolved_name} did not answer: {error}") from error
 
 
 def _is_offered(service: Any) -> bool:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator
+from typing import Any, Callable, Iterator, Optional
 
-from embodied_active_learning.errors import CommandError
+from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
 
 
 class Commander:
     """Keeps the arm to the node that drives it, until that node has been silent for a while (wall seconds).
 
-    Everyone may stop the arm. When its driver does, the arm is free at once; when another node does while it is driven,
-    no command is taken until somebody calls recover.
+    Everyone may stop the arm. When its driver does, the arm is free at once; when anybody else does, no command is
+    taken until somebody calls recover.
     """
 
     def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -24,19 +24,31 @@ class Commander:
         self._holder = ""
         self._kept = False  # whether the holder has the arm between its commands too, until it expires
         self._expires = 0.0
+        self._commanded_at: Optional[float] = None
         self._busy = False
         self._stopped_by = ""
 
     @contextmanager
     def command(self, request: Any) -> Iterator[None]:
-        """The time of one command. Raises CommandError naming the node that has the arm."""
+        """The time of one command. Raises ArmBusyError naming the node that has the arm, or ArmStoppedError."""
         self._take(name_of_caller(request))
         try:
             yield
         finally:
             with self._lock:
                 self._busy = False
-                self._expires = self._clock() + self._timeout
+                self._commanded_at = self._clock()
+                self._expires = self._commanded_at + self._timeout
+
+    def keep(self, request: Any) -> None:
+        """Note that the driver is alive, and goes on. Raises ArmBusyError for others, and ArmStoppedError."""
+        caller = name_of_caller(request)
+        with self._lock:
+            self._refuse_when_stopped()
+            if not self._is_held() or caller != self._holder:
+                driver = self._holder if self._is_held() else "nobody"
+                raise ArmBusyError(f"the arm is driven by {driver}, not by {caller}")
+            self._expires = self._clock() + self._timeout
 
     @property
     def holder(self) -> str:
@@ -44,17 +56,37 @@ class Commander:
         with self._lock:
             return self._holder if self._is_held() else ""
 
+    @property
+    def stopped_by(self) -> str:
+        """Name of the node whose stop lasts; empty when commands are taken."""
+        with self._lock:
+            return self._stopped_by
+
+    @property
+    def silence(self) -> Optional[float]:
+        """Wall seconds since the last command ended; None before the first."""
+        with self._lock:
+            return None if self._commanded_at is None else self._clock() - self._commanded_at
+
+    def take_lapsed(self) -> str:
+        """The driver that has fallen silent without giving the arm back, told once; empty when there is none."""
+        with self._lock:
+            if not self._kept or self._is_held():
+                return ""
+            self._kept = False
+            return self._holder
+
     @contextmanager
-    def stop(self, request: Any) -> Iterator[None]:
-        """The time of a stop. While another node drives the arm it lasts for good; its driver then gives it back."""
+    def stop(self, request: Any) -> Iterator[bool]:
+        """The time of a stop -> whether it lasts. The last driver gives the arm back; anybody else's stop lasts."""
         caller = name_of_caller(request)
         with self._lock:
-            if self._is_held() and caller != self._holder:
+            lasts = caller != self._holder
+            if lasts:
                 self._stopped_by = caller
-        yield
+        yield lasts
         with self._lock:
-            if caller == self._holder:
-                self._kept = False
+            self._kept = False
 
     def recover(self) -> None:
         """Take commands again."""
@@ -63,16 +95,19 @@ class Commander:
 
     def _take(self, caller: str) -> None:
         with self._lock:
-            if self._stopped_by:
-                raise CommandError(f"the arm was stopped by {self._stopped_by}: call arm/recover to go on")
+            self._refuse_when_stopped()
             if self._busy:
-                raise CommandError(f"the arm is carrying out a command of {self._holder}")
+                raise ArmBusyError(f"the arm is carrying out a command of {self._holder}")
             if self._is_held() and caller != self._holder:
-                raise CommandError(
+                raise ArmBusyError(
                     f"the arm is driven by {self._holder}: stop that node, or try again {self._timeout:g} s after its "
-                    "last command"
+                    "last sign of life"
                 )
             self._holder, self._busy, self._kept = caller, True, True
+
+    def _refuse_when_stopped(self) -> None:
+        if self._stopped_by:
+            raise ArmStoppedError(f"the arm was stopped by {self._stopped_by}: call arm/recover to go on")
 
     def _is_held(self) -> bool:
         return self._busy or (self._kept and self._clock() < self._expires)

@@ -14,6 +14,8 @@ import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import (
+    ArmBusyError,
+    ArmStoppedError,
     CommandError,
     EmbodiedActiveLearningError,
     ObservationError,
@@ -22,11 +24,17 @@ from embodied_active_learning.errors import (
 from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros.arm_client import ArmClient
+from embodied_active_learning.ros.diagnostics import ERROR, WARN, Health
+from embodied_active_learning.ros.lease import Lease
 from embodied_active_learning.ros.node import REPEAT_AFTER, pause, wait_until
 from embodied_active_learning.ros.posed_camera import PosedCamera
 
 RETRY_PERIOD = 0.5
-"""Wall seconds between two tries."""
+"""Wall seconds between two tries; doubled with each failure of the arm in a row ..."""
+LONGEST_RETRY_PERIOD = 8.0
+"""... up to this."""
+WAITED_FOR = (ObservationError, ArmBusyError, ArmStoppedError, UnansweredError)
+"""What only time or a person can mend; trying again costs nothing, so it is not counted."""
 STOP_TIMEOUT = 10.0
 """Wall seconds within which an arm is expected to finish a command and stop."""
 
@@ -34,24 +42,29 @@ STOP_TIMEOUT = 10.0
 class GuidedArm:
     """Moves and looks. What fails is said, and again every few seconds; the arm is held still and it is tried again.
 
+    Commands that the arm refuses or fails to do are tried arm/retries times in a row, then given up. What only time or
+    a person can mend is waited for: images that are not fresh, a stopped arm, another driver, no answer at all. A
+    stopped arm is never recovered from here.
+
     One thread moves and looks; any thread may call pause, resume and stop, and read the properties.
     """
 
     def __init__(self, config: Config, patience: Optional[float] = None) -> None:
-        """Patience: wall seconds of failures after which a call raises the last one; None tries for ever.
+        """Patience: wall seconds of failures after which a call raises the last one; None waits for ever.
 
         An arm that has taken a command is waited for until it answers, whatever the patience.
         """
         self._patience = math.inf if patience is None else patience
-        self._timeout = config.arm.commander_timeout
-        self._camera = PosedCamera(config.camera)
+        self._retries = config.arm.retries
+        self._camera = PosedCamera(config)
         self._arm = ArmClient()
+        self._lease = Lease(config.arm.commander_timeout, self._arm.keep)
         self._turn = threading.Lock()  # held by the thread that talks to the arm
         self._switch = threading.Lock()
         self._going = threading.Event()
         self._going.set()
         self._awaited = ""
-        self._commanded_at = -math.inf
+        self._failures = 0  # of the arm, since it last carried out more than standing still
         self._held = False
         self._trouble = ""
         self._said_at = -math.inf
@@ -64,8 +77,14 @@ class GuidedArm:
 
     @property
     def trouble(self) -> str:
-        """Why the arm is held still, for /diagnostics; empty when it goes on."""
+        """Why the arm is held still; empty when it goes on."""
         return self._trouble
+
+    def health(self, going: str) -> Health:
+        """What /diagnostics tells: that the arm is paused or held still, and why; else what is going on."""
+        if self.is_paused:
+            return Health(WARN, f"paused, waiting for {self._awaited}")
+        return Health(ERROR, f"the arm stands still: {self._trouble}") if self._trouble else Health(message=going)
 
     @property
     def held(self) -> bool:
@@ -75,7 +94,7 @@ class GuidedArm:
     @property
     def is_ours(self) -> bool:
         """Whether this node still has the arm from its last command; if not, others may have moved it since."""
-        return time.monotonic() <= self._commanded_at + self._timeout
+        return self._lease.is_held
 
     @property
     def is_paused(self) -> bool:
@@ -90,7 +109,7 @@ class GuidedArm:
     def look(self, reached: PlanarState) -> Tuple[rospy.Time, np.ndarray, PlanarState]:
         """The first image since a state was reached -> (stamp, image (H, W, 3) uint8, state it was taken from).
 
-        Raises ObservationError or CommandError when patience has ended, and ShutdownRequestedError.
+        Raises ObservationError or CommandError when patience or tries have ended, and ShutdownRequestedError.
         """
         gives_up_at = time.monotonic() + self._patience
         while True:
@@ -106,7 +125,7 @@ class GuidedArm:
     def execute(self, command: Command) -> PlanarState:
         """Carry out a command, or hold still instead when it fails or was planned before a pause -> the state reached.
 
-        Raises CommandError when patience has ended, and ShutdownRequestedError.
+        Raises CommandError when patience or tries have ended, and ShutdownRequestedError.
         """
         self._held = False
         return self._insist(command, self._standing, time.monotonic() + self._patience)
@@ -114,7 +133,7 @@ class GuidedArm:
     def go_to(self, pose: Sequence[float]) -> PlanarState:
         """Go to pose (3,) [m, m, rad], trying until the arm gets there -> the state reached.
 
-        Raises CommandError when patience has ended, and ShutdownRequestedError.
+        Raises CommandError when patience or tries have ended, and ShutdownRequestedError.
         """
         self._held = False
         command = PoseCommand(*map(float, pose))
@@ -170,10 +189,14 @@ class GuidedArm:
                 with self._turn:
                     if self.is_paused:
                         continue
-                    return self._send(command)
+                    reached = self._send(command)
             except CommandError as error:
                 self._bear(error, gives_up_at)
                 command = instead
+            else:
+                if command is not self._standing:
+                    self._failures = 0
+                return reached
 
     def _send(self, command: Command) -> PlanarState:
         try:
@@ -181,10 +204,12 @@ class GuidedArm:
                 reached = self._arm.move(command.velocity, command.duration)
             else:
                 reached = self._arm.go_to((command.x, command.y, command.theta))
-        except UnansweredError:
-            self._commanded_at = time.monotonic()  # it may have been taken all the same
+        except (ArmBusyError, ArmStoppedError):
             raise
-        self._commanded_at = time.monotonic()
+        except CommandError:
+            self._lease.renew()  # the arm listened to us, or may have
+            raise
+        self._lease.renew()
         return reached
 
     def _give_back(self, outcome: Future) -> None:
@@ -193,19 +218,28 @@ class GuidedArm:
                 # The arm takes a stop by anybody but its driver for an emergency.
                 if self.is_ours:
                     self._arm.stop()
-                    self._commanded_at = -math.inf
+                    self._lease.end()
             outcome.set_result(None)
         except CommandError as error:
             outcome.set_exception(error)
 
     def _bear(self, error: EmbodiedActiveLearningError, gives_up_at: float) -> None:
-        """Say what is wrong and wait for the next try; raise it when patience has ended."""
+        """Say what is wrong and wait for the next try; raise it when patience or tries have ended."""
+        trouble, wait = str(error), RETRY_PERIOD
+        if not isinstance(error, WAITED_FOR):
+            self._failures += 1
+            tries = self._failures
+            if tries > self._retries:
+                self._failures, self._trouble = 0, ""
+                raise type(error)(f"{error} (gave up after {tries} tries)") from error
+            wait = min(RETRY_PERIOD * 2 ** (tries - 1), LONGEST_RETRY_PERIOD)
+            trouble += f" (try {tries} of {self._retries + 1}, the next in {wait:g} s)"
         if time.monotonic() >= gives_up_at:
-            self._trouble = ""
+            self._failures, self._trouble = 0, ""
             raise error
         self._held = True
-        self._say(str(error))
-        pause(RETRY_PERIOD)
+        self._say(trouble)
+        pause(max(0.0, min(wait, gives_up_at - time.monotonic())))
 
     def _say(self, trouble: str) -> None:
         """Say what is wrong when it is new, and again every few seconds of wall time: other time may stand still."""

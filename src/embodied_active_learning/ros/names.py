@@ -4,6 +4,7 @@ ARM_MOVE = "arm/move"
 ARM_GO_TO = "arm/go_to"
 ARM_STOP = "arm/stop"
 ARM_RECOVER = "arm/recover"
+ARM_KEEP = "arm/keep"
 ARM_STATE = "arm/state"
 JOINT_STATES = "joint_states"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, Optional
+from typing import Any, Callable, Dict, Iterator, Optional
 
 import rospy
 from rospy.exceptions import TransportException
@@ -96,14 +96,22 @@ def saying_who_is_awaited(name: str) -> Iterator[None]:
         answered.set()
 
 
-def offer_service(name: str, service_class: Any, handler: Callable[[Any], Any]) -> rospy.Service:
-    """Offer a service whose handler's named errors become answers with success false and the error's message."""
+def offer_service(
+    name: str,
+    service_class: Any,
+    handler: Callable[[Any], Any],
+    fields_of: Callable[[EmbodiedActiveLearningError], Dict[str, Any]] = lambda _error: {},
+) -> rospy.Service:
+    """Offer a service whose handler's named errors become answers with success false and the error's message.
+
+    fields_of(error) are further fields of such an answer.
+    """
 
     def answer(request: Any) -> Any:
         try:
             return handler(request)
         except EmbodiedActiveLearningError as error:
             rospy.logwarn("%s refused: %s", name, error)
-            return service_class._response_class(success=False, message=str(error))
+            return service_class._response_class(success=False, message=str(error), **fields_of(error))
 
     return rospy.Service(name, service_class, answer)

@@ -11,7 +11,7 @@ from typing import Callable, Dict, List, Optional, Sequence
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import CommandError, ConfigError
+from embodied_active_learning.errors import ArmFailedError, CommandError, ConfigError
 from embodied_active_learning.motion_limits import MotionLimits
 from embodied_active_learning.simulation import servo
 from embodied_active_learning.simulation.panda_body import PandaBody
@@ -118,7 +118,7 @@ class SimulatedArm:
     def go_to(self, pose: Sequence[float]) -> MoveResult:
         """Go straight to a planar pose (3,) m, m, rad within the limits and stop there, without overshooting.
 
-        Raises CommandError for a pose outside the workspace, and when the arm does not get there in time.
+        Raises CommandError for a pose outside the workspace, ArmFailedError when the arm does not get there in time.
         """
         target = np.array(_three_numbers(pose, "pose"))
         if not self._workspace.contains(target, tolerance=1e-9):
@@ -135,7 +135,7 @@ class SimulatedArm:
         while np.any(np.abs(target - self._pose) > _ARRIVED):
             if self.time > deadline:
                 self.stop()
-                raise CommandError(
+                raise ArmFailedError(
                     f"pose {target.tolist()} was not reached in {allowed:.1f} s: the arm stopped at "
                     f"{self._pose.tolist()}"
                 )
@@ -144,13 +144,19 @@ class SimulatedArm:
         return MoveResult(self.pose, self.velocity, limited)
 
     def stop(self) -> MoveResult:
+<<<<<<< HEAD
         """Come to rest as fast as the acceleration limit allows. Raises CommandError when the arm keeps moving."""
         braking_steps = round(self._limits.braking_time(self._commanded) / self._body.period)
         for _ in range(braking_steps + _SETTLING_STEPS):
             self._tick(_REST)
+=======
+        """Stop now. Raises ArmFailedError when the arm keeps moving."""
+        for _ in range(_STOP_STEPS):
+            self._tick(np.zeros(3))
+>>>>>>> ecea17e (Images and poses are checked before they become pairs, errors of the arm have causes, and drivers say that they live)
             if np.all(np.abs(self.velocity) <= _AT_REST):
                 return MoveResult(self.pose, self.velocity, limited=False)
-        raise CommandError(f"the arm did not come to rest: it moves at {self.velocity.tolist()}")
+        raise ArmFailedError(f"the arm did not come to rest: it moves at {self.velocity.tolist()}")
 
     def _tick(self, velocity: List[float]) -> bool:
         """One physics step at the legal velocity next to a planar one (3,); whether more than inertia changed it."""
