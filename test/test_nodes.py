@@ -8,7 +8,7 @@ import pytest
 
 from launching import ROOT
 
-FILES = sorted((ROOT / "test" / "rostest").glob("*.test"))
+FILES = sorted(path for folder in ("rostest", "faults") for path in (ROOT / "test" / folder).glob("*.test"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

@@ -234,6 +234,34 @@ def test_a_camera_that_froze_between_two_looks_is_found_out(scene):
     check_refused(scene, "is the same as from x 0.510 m")
 
 
+@pytest.mark.parametrize("wrong", [{"stamp": 100.5}, {"stamp": 95.0}, {"stamp": 110.0}])
+def test_a_picture_whose_first_stamps_were_wrong_is_counted_from_the_first_right_one(scene, wrong):
+    scene.step(HERE)
+    scene.look()
+    scene.moves_to(HERE, stamp=100.6)
+    scene.now = 101.0
+    scene.moves_to(THERE)
+    picture = scene.sees(**wrong)
+    refusal(scene)
+    scene.step(THERE, picture)
+    scene.look()
+
+
+def test_a_picture_seen_while_the_pose_was_wrong_is_counted_from_the_first_right_one(scene):
+    picture = scene.step(HERE)
+    scene.look()
+    scene.now += 0.01
+    scene.moves_to((0.6, 0.0, 0.0))
+    scene.sees(picture)
+    check_refused(scene, "jumped")
+    for _ in range(2):
+        scene.now += 0.01
+        scene.moves_to(HERE)
+        scene.sees(picture)
+    check_refused(scene, "jumped")
+    scene.look()
+
+
 def test_a_picture_first_seen_before_any_state_is_counted_from_its_first_look(scene):
     picture = scene.sees()
     scene.step(HERE, picture)

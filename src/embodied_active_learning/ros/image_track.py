@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Optional
 
 import numpy as np
@@ -29,6 +30,8 @@ class ImageTrack:
     """Keeps the newest image, and the state in which the camera was when its images began to be the same as that.
 
     A frozen camera may go on sending with new stamps. From another state the same bytes are never taken for a view.
+    Where they were first seen is told by stamps and states that can be trusted only: a wrong one would call a camera
+    frozen that sees the same because the arm is held still.
     """
 
     def __init__(self, config: CameraConfig, poses: PoseTrack) -> None:
@@ -38,20 +41,24 @@ class ImageTrack:
         self._arrived = 0  # images since the look began
         self._repeats = 0  # images with the newest one's stamp, but for the first
         self._used = rospy.Time()  # stamp of the last image that was taken for a view
-        self._same_since = rospy.Time()
+        self._same_since: Optional[rospy.Time] = None  # the first of the same images whose stamp can be trusted
         self._origin: Optional[PlanarState] = None  # the state at that time, once it is known
+        self._track = poses.track
         self._repeating = False
         self._repeated_looks = 0
 
-    def add(self, image: Image) -> None:
-        """Take in the newest image."""
+    def add(self, image: Image, now: rospy.Time) -> None:
+        """Take in the newest image, which arrived now."""
         last, self._newest = self._newest, image
+        stamp = image.header.stamp
         self._arrived += 1
-        self._repeats = self._repeats + 1 if last is not None and last.header.stamp == image.header.stamp else 0
-        if last is None or image.header.stamp < last.header.stamp or image.data != last.data:
-            self._same_since, self._origin = image.header.stamp, None
-        elif self._origin is None:
-            self._origin = self._state_then()
+        self._repeats = self._repeats + 1 if last is not None and last.header.stamp == stamp else 0
+        if last is None or stamp < last.header.stamp or image.data != last.data:
+            self._same_since = self._origin = None
+        if self._same_since is None and not self._repeats:
+            age = (now - stamp).to_sec()
+            self._same_since = stamp if -FUTURE_TOLERANCE <= age <= self._config.max_age else None
+        self._find_origin()
 
     def begin_look(self) -> None:
         """Count what arrives from now on, and whether the last look has failed for a repeated image."""
@@ -102,8 +109,9 @@ class ImageTrack:
 
     def _require_seen_from(self, state: PlanarState) -> None:
         """Raise ObservationError when the newest image is the same as one from another state."""
+        self._find_origin()
         if self._origin is None:
-            self._origin = self._state_then() or state
+            self._same_since, self._origin = state.header.stamp, state
         self._repeating = moved(self._origin, state, STILL_DISTANCE, STILL_TURN)
         if not self._repeating:
             return
@@ -116,9 +124,9 @@ class ImageTrack:
             "is frozen"
         )
 
-    def _state_then(self) -> Optional[PlanarState]:
-        """The state in which the newest image's bytes were first seen, if it is known."""
-        try:
-            return self._poses.at(self._same_since)
-        except ObservationError:
-            return None
+    def _find_origin(self) -> None:
+        if self._track != self._poses.track:
+            self._track, self._same_since, self._origin = self._poses.track, None, None
+        if self._origin is None and self._same_since is not None:
+            with suppress(ObservationError):
+                self._origin = self._poses.at(self._same_since)

@@ -32,19 +32,26 @@ class PoseTrack:
         self._max_age = config.camera.max_age
         self._speeds = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
         self._states: Deque[PlanarState] = deque(maxlen=KEPT)
+        self._track = 0
         self._repeats = 0
         self._finite = True
         self._jump = ""
+
+    @property
+    def track(self) -> int:
+        """Number of the track, which grows whenever it begins anew."""
+        return self._track
 
     def add(self, message: PlanarState) -> None:
         """Take in the newest state."""
         self._finite = bool(np.isfinite(np.concatenate(state_arrays(message))).all())
         if not self._finite:
-            self._states.clear()
+            self._begin_anew()
             return
         if self._states:
             self._compare(self._states[-1], message)
-        self._states.append(message)
+        if not self._repeats:
+            self._states.append(message)
 
     def raise_jump(self) -> None:
         """Raise ObservationError for a jump since the last call."""
@@ -79,14 +86,19 @@ class PoseTrack:
         self._repeats = self._repeats + 1 if elapsed == 0.0 else 0
         change = _change(last, message)
         if elapsed < 0.0:
-            self._states.clear()
+            self._begin_anew()
         elif np.any(np.abs(change) > JUMP_SLACK + JUMP_FACTOR * elapsed * self._speeds):
-            self._states.clear()
+            self._begin_anew()
             self._jump = (
                 f"the pose on {rospy.resolve_name(names.ARM_STATE)} jumped by {math.hypot(change[0], change[1]):.3f} m "
                 f"and {abs(change[2]):.2f} rad in {elapsed:.3f} s, faster than the arm can move (arm/max_speed, "
                 "arm/max_turn_rate)"
             )
+
+    def _begin_anew(self) -> None:
+        self._states.clear()
+        self._repeats = 0
+        self._track += 1
 
     def _what_there_is(self, stamp: rospy.Time) -> str:
         if not self._states:

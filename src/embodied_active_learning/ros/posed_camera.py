@@ -48,7 +48,7 @@ class PosedCamera:
     def add_image(self, message: Image) -> None:
         """Take in an image."""
         with self._condition:
-            self._images.add(message)
+            self._images.add(message, self._clock())
             self._condition.notify_all()
 
     def take(self, after: rospy.Time) -> Tuple[rospy.Time, np.ndarray, PlanarState]:

@@ -1,0 +1,40 @@
+"""A node of the package as a process of the test's own, which can kill it and freeze it, and see how it ends."""
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+
+class NodeProcess:
+    """Runs under the test's master. It ends with the test: both are in one process group."""
+
+    def __init__(self, node):
+        self.log = Path(os.environ["ROS_HOME"]) / f"{node}.log"
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        with self.log.open("ab") as log:
+            command = ["rosrun", "embodied_active_learning", node]
+            self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
+
+    @property
+    def last_line(self):
+        return self.log.read_text().rstrip().rpartition("\n")[2]
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+    def freeze(self):
+        self.process.send_signal(signal.SIGSTOP)
+
+    def thaw(self):
+        self.process.send_signal(signal.SIGCONT)
+
+    def end(self, timeout=20.0):
+        """Ask it to end, also if it is frozen -> its exit status."""
+        self.process.send_signal(signal.SIGINT)
+        self.thaw()
+        try:
+            return self.process.wait(timeout)
+        finally:
+            self.process.kill()
