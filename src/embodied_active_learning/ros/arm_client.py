@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Sequence
+from typing import Any, NamedTuple, Sequence
 
+import numpy as np
 import rospy
 from std_srvs.srv import Trigger
 
@@ -13,7 +14,14 @@ from embodied_active_learning.ros import names
 from embodied_active_learning.ros.causes import error_of
 from embodied_active_learning.ros.node import wait_until
 from embodied_active_learning.ros.services import HANDLER_FAILED, TRANSPORT_ERRORS, saying_who_is_awaited
-from embodied_active_learning.srv import GoToPose, MoveArm
+from embodied_active_learning.srv import GoToPose, MoveArm, RestoreArm
+
+
+class Reached(NamedTuple):
+    """Where a command ended, and what puts a simulated arm back there: (M,), empty for a real one."""
+
+    state: PlanarState
+    memory: np.ndarray
 
 
 class ArmClient:
@@ -24,18 +32,25 @@ class ArmClient:
         self._go_to = rospy.ServiceProxy(names.ARM_GO_TO, GoToPose)
         self._stop = rospy.ServiceProxy(names.ARM_STOP, Trigger)
         self._keep = rospy.ServiceProxy(names.ARM_KEEP, Trigger)
+        self._restore = rospy.ServiceProxy(names.ARM_RESTORE, RestoreArm)
 
     def wait(self) -> None:
         """Return once the arm offers its services. Raises ShutdownRequestedError."""
         wait_until(lambda: _is_offered(self._move), lambda: f"the arm ({self._move.resolved_name})", period=0.2)
 
-    def move(self, velocity: Sequence[float], duration: float) -> PlanarState:
-        """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s] -> the state reached. Raises CommandError."""
-        return _command(self._move, *map(float, velocity), duration)
+    def move(self, velocity: Sequence[float], duration: float) -> Reached:
+        """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s]. Raises CommandError."""
+        answer = _command(self._move, *map(float, velocity), duration)
+        return Reached(answer.state, np.array(answer.memory))
 
-    def go_to(self, pose: Sequence[float]) -> PlanarState:
-        """Go to pose (3,) [m, m, rad] and stop there -> the state reached. Raises CommandError."""
-        return _command(self._go_to, *map(float, pose))
+    def go_to(self, pose: Sequence[float]) -> Reached:
+        """Go to pose (3,) [m, m, rad] and stop there. Raises CommandError."""
+        answer = _command(self._go_to, *map(float, pose))
+        return Reached(answer.state, np.array(answer.memory))
+
+    def restore(self, memory: np.ndarray) -> Reached:
+        """Put a simulated arm back to where it was when it answered with a memory (M,). Raises CommandError."""
+        return Reached(_command(self._restore, memory.tolist()).state, memory)
 
     def stop(self) -> None:
         """Stop now. Raises CommandError when the arm does not confirm."""
@@ -49,15 +64,15 @@ class ArmClient:
         return _ask(self._keep).success
 
 
-def _command(service: Any, *arguments: float) -> PlanarState:
+def _command(service: Any, *arguments: Any) -> Any:
     with saying_who_is_awaited(service.resolved_name):
         answer = _ask(service, *arguments)
     if not answer.success:
         raise error_of(answer.cause, answer.message)
-    return answer.state
+    return answer
 
 
-def _ask(service: Any, *arguments: float) -> Any:
+def _ask(service: Any, *arguments: Any) -> Any:
     try:
         return service(*arguments)
     except TRANSPORT_ERRORS as error:

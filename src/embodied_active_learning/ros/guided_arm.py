@@ -7,7 +7,7 @@ import threading
 import time
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NotInTimeError
-from typing import Optional, Sequence, Tuple
+from typing import NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 import rospy
@@ -23,7 +23,7 @@ from embodied_active_learning.errors import (
 )
 from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
 from embodied_active_learning.msg import PlanarState
-from embodied_active_learning.ros.arm_client import ArmClient
+from embodied_active_learning.ros.arm_client import ArmClient, Reached
 from embodied_active_learning.ros.diagnostics import ERROR, WARN, Health
 from embodied_active_learning.ros.lease import Lease
 from embodied_active_learning.ros.node import REPEAT_AFTER, pause, wait_until
@@ -39,12 +39,18 @@ STOP_TIMEOUT = 10.0
 """Wall seconds within which an arm is expected to finish a command and stop."""
 
 
+class _PutBack(NamedTuple):
+    """The command to be where a simulated arm was when its memory was this."""
+
+    memory: np.ndarray
+
+
 class GuidedArm:
     """Moves and looks. What fails is said, and again every few seconds; the arm is held still and it is tried again.
 
     Commands that the arm refuses or fails to do are tried arm/retries times in a row, then given up. What only time or
     a person can mend is waited for: images that are not fresh, a stopped arm, another driver, no answer at all. A
-    stopped arm is never recovered from here.
+    stopped arm is never recovered from here. A simulated arm that was started anew is put back to where it was left.
 
     One thread moves and looks; any thread may call pause, resume and stop, and read the properties.
     """
@@ -64,6 +70,10 @@ class GuidedArm:
         self._going = threading.Event()
         self._going.set()
         self._awaited = ""
+        self._memory = np.empty(0)
+        self._left_at = rospy.Time()  # when the last command has left the arm
+        self._restarts = 0
+        self._unanswered = False
         self._failures = 0  # of the arm, since it last carried out more than standing still
         self._held = False
         self._trouble = ""
@@ -93,8 +103,17 @@ class GuidedArm:
 
     @property
     def is_ours(self) -> bool:
-        """Whether this node still has the arm from its last command; if not, others may have moved it since."""
-        return self._lease.is_held
+        """Whether the arm is where this node's last command has left it, as far as this node can tell."""
+        if not self._memory.size:
+            return self._lease.is_held
+        # Simulated time passes only while the arm moves: states tell whether it did, however long ago the command is.
+        newest = self._camera.newest_state
+        return self._is_lost or newest is None or newest <= self._left_at
+
+    @property
+    def memory(self) -> np.ndarray:
+        """(M,) what puts a simulated arm back to where the last command has left it; empty for a real one."""
+        return self._memory
 
     @property
     def is_paused(self) -> bool:
@@ -117,6 +136,9 @@ class GuidedArm:
                 seen = self._camera.take(reached.header.stamp)
                 break
             except ObservationError as error:
+                if self._is_lost:
+                    reached = self._insist(_PutBack(self._memory), self._standing, gives_up_at)
+                    continue
                 self._bear(error, gives_up_at)
                 reached = self._insist(self._standing, self._standing, gives_up_at)
         self._trouble = ""
@@ -139,6 +161,16 @@ class GuidedArm:
         command = PoseCommand(*map(float, pose))
         reached = self._insist(command, command, time.monotonic() + self._patience)
         self._trouble = ""
+        return reached
+
+    def put_back(self, memory: np.ndarray) -> PlanarState:
+        """Put a simulated arm back to where it was when its memory (M,) was this -> that state.
+
+        Raises CommandError when tries or patience have ended, and ShutdownRequestedError.
+        """
+        command = _PutBack(memory)
+        reached = self._insist(command, command, time.monotonic() + self._patience)
+        self._trouble, self._held = "", False
         return reached
 
     def stop(self, timeout: float = STOP_TIMEOUT) -> None:
@@ -180,7 +212,9 @@ class GuidedArm:
         wait_until(self._going.is_set, lambda: self._awaited)
         return True
 
-    def _insist(self, command: Command, instead: Command, gives_up_at: float) -> PlanarState:
+    def _insist(
+        self, command: Union[Command, _PutBack], instead: Union[Command, _PutBack], gives_up_at: float
+    ) -> PlanarState:
         """Carry out a command; when it fails, or a pause came before it, then another one until that succeeds."""
         while True:
             if self.wait_while_paused():
@@ -198,9 +232,39 @@ class GuidedArm:
                     self._failures = 0
                 return reached
 
-    def _send(self, command: Command) -> PlanarState:
+    @property
+    def _is_lost(self) -> bool:
+        """Whether a simulated arm has begun anew since the last command, or may have."""
+        return bool(self._memory.size) and (self._unanswered or self._camera.restarts != self._restarts)
+
+    def _send(self, command: Union[Command, _PutBack]) -> PlanarState:
+        """Carry out a command; a simulated arm that was lost is put back first, and so is none the worse for it."""
+        while True:
+            try:
+                if self._is_lost:
+                    self._call(_PutBack(self._memory))
+                reached = self._call(command)
+            except UnansweredError as error:
+                if not self._memory.size:
+                    raise
+                self._unanswered = True
+                self._say(str(error))
+                pause(RETRY_PERIOD)
+                continue
+            if isinstance(command, _PutBack) or not reached.memory.size or reached.state.header.stamp > self._left_at:
+                break
+            self._unanswered = True  # by the arm that had been there: time went back
+        self._memory, self._left_at = reached.memory, reached.state.header.stamp
+        return reached.state
+
+    def _call(self, command: Union[Command, _PutBack]) -> Reached:
+        restarts = self._camera.restarts
         try:
-            if isinstance(command, VelocityCommand):
+            if isinstance(command, _PutBack):
+                reached = self._arm.restore(command.memory)
+                rospy.loginfo("the simulated arm was put back to where it was left")
+                self._unanswered = False
+            elif isinstance(command, VelocityCommand):
                 reached = self._arm.move(command.velocity, command.duration)
             else:
                 reached = self._arm.go_to((command.x, command.y, command.theta))
@@ -210,6 +274,7 @@ class GuidedArm:
             self._lease.renew()  # the arm listened to us, or may have
             raise
         self._lease.renew()
+        self._restarts = restarts
         return reached
 
     def _give_back(self, outcome: Future) -> None:

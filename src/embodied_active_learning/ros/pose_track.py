@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Deque
+from typing import Deque, Optional
 
 import numpy as np
 import rospy
@@ -33,6 +33,7 @@ class PoseTrack:
         self._speeds = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
         self._states: Deque[PlanarState] = deque(maxlen=KEPT)
         self._track = 0
+        self._restarts = 0
         self._repeats = 0
         self._finite = True
         self._jump = ""
@@ -41,6 +42,16 @@ class PoseTrack:
     def track(self) -> int:
         """Number of the track, which grows whenever it begins anew."""
         return self._track
+
+    @property
+    def restarts(self) -> int:
+        """How often time has gone back."""
+        return self._restarts
+
+    @property
+    def newest(self) -> Optional[rospy.Time]:
+        """The newest state's stamp, if there is one."""
+        return self._states[-1].header.stamp if self._states else None
 
     def add(self, message: PlanarState) -> None:
         """Take in the newest state."""
@@ -87,6 +98,7 @@ class PoseTrack:
         change = _change(last, message)
         if elapsed < 0.0:
             self._begin_anew()
+            self._restarts += 1
         elif np.any(np.abs(change) > JUMP_SLACK + JUMP_FACTOR * elapsed * self._speeds):
             self._begin_anew()
             self._jump = (

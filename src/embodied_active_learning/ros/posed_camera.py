@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Callable, Tuple
+from typing import Callable, Optional, Tuple
 
 import numpy as np
 import rospy
@@ -38,6 +38,17 @@ class PosedCamera:
     def connected(self) -> bool:
         """Whether somebody publishes images and states."""
         return self._image_subscriber.get_num_connections() > 0 and self._state_subscriber.get_num_connections() > 0
+
+    @property
+    def restarts(self) -> int:
+        """How often the time of the arm's states has gone back, as it does when a simulated arm begins anew."""
+        return self._poses.restarts
+
+    @property
+    def newest_state(self) -> Optional[rospy.Time]:
+        """The stamp of the arm's newest state, if there is one."""
+        with self._condition:
+            return self._poses.newest
 
     def add_state(self, message: PlanarState) -> None:
         """Take in a state of the arm."""

@@ -33,6 +33,7 @@ class SessionPaths:
         self.observations = self.path / "observations"
         self.checkpoints = self.path / "checkpoints"
         self.model = self.path / "model.safetensors"
+        self.planner = self.path / "planner.safetensors"
         self.fingerprints = self.path / "fingerprints"
         self.identification = self.path / "identification"
         self.figures = self.path / "figures"

@@ -23,6 +23,7 @@ _MARGIN = 3e-4
 _ARRIVED = np.array([5e-5, 5e-5, 5e-4])  # m, m, rad
 _AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
 _SETTLING_STEPS = 100
+_HEIGHT_TOLERANCE = 0.01  # m
 _REST = [0.0, 0.0, 0.0]
 _REACH_GRID = (5, 5, 3)  # poses tried along x, y and theta: odd, so that the middle is among them
 
@@ -94,6 +95,31 @@ class SimulatedArm:
         """Velocity of each of the seven joints, rad/s."""
         return {name: state[1] for name, state in self._body.joint_states().items()}
 
+    @property
+    def memory(self) -> np.ndarray:
+        """(M,) all that decides how the arm will move: physics steps, joints, their speeds, the commanded velocity."""
+        return np.concatenate([self._body.memory, self._commanded])
+
+    def restore(self, memory: Sequence[float]) -> None:
+        """Be where and as the arm was whose memory (M,) this is, at its time too.
+
+        Raises CommandError, with the arm where it was, for what is no memory or lies outside the workspace.
+        """
+        numbers = np.asarray(memory, dtype=np.float64)
+        if numbers.shape != self.memory.shape or not np.isfinite(numbers).all():
+            raise CommandError(f"memory of {numbers.size} numbers is refused: give {self.memory.size} finite ones")
+        before = self.memory
+        self._recall(numbers)
+        if not self._workspace.contains(self._pose) or abs(self.camera_height - self._height) > _HEIGHT_TOLERANCE:
+            self._recall(before)
+            raise CommandError("memory is refused: it is of an arm outside the workspace")
+
+    def _recall(self, memory: np.ndarray) -> None:
+        commands = len(STATE_NAMES)
+        self._body.recall(memory[:-commands])
+        self._commanded = memory[-commands:].tolist()
+        self._sense()
+
     def move(
         self, velocity: Sequence[float], duration: float, error: Optional[Callable[[], np.ndarray]] = None
     ) -> MoveResult:
@@ -144,16 +170,10 @@ class SimulatedArm:
         return MoveResult(self.pose, self.velocity, limited)
 
     def stop(self) -> MoveResult:
-<<<<<<< HEAD
-        """Come to rest as fast as the acceleration limit allows. Raises CommandError when the arm keeps moving."""
+        """Come to rest as fast as the acceleration limit allows. Raises ArmFailedError when the arm keeps moving."""
         braking_steps = round(self._limits.braking_time(self._commanded) / self._body.period)
         for _ in range(braking_steps + _SETTLING_STEPS):
             self._tick(_REST)
-=======
-        """Stop now. Raises ArmFailedError when the arm keeps moving."""
-        for _ in range(_STOP_STEPS):
-            self._tick(np.zeros(3))
->>>>>>> ecea17e (Images and poses are checked before they become pairs, errors of the arm have causes, and drivers say that they live)
             if np.all(np.abs(self.velocity) <= _AT_REST):
                 return MoveResult(self.pose, self.velocity, limited=False)
         raise ArmFailedError(f"the arm did not come to rest: it moves at {self.velocity.tolist()}")

@@ -56,6 +56,17 @@ class PandaBody:
         """Seconds of one physics step."""
         return 1.0 / self._rate
 
+    @property
+    def memory(self) -> np.ndarray:
+        """(15,) physics steps, and positions rad and velocities rad/s of the arm's joints."""
+        states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)
+        return np.array([self._steps, *(state[0] for state in states), *(state[1] for state in states)], dtype=float)
+
+    def recall(self, memory: np.ndarray) -> None:
+        """Be as the body was whose memory (15,) this is."""
+        self._steps = int(memory[0])
+        self._reset(*np.split(memory[1:], 2))
+
     def joint_states(self) -> Dict[str, Tuple[float, float]]:
         """Position [rad] and velocity [rad/s] of every joint by name."""
         states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)

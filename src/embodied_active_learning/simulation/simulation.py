@@ -79,6 +79,15 @@ class Simulation:
         """The truth about every object on the table."""
         return self._scene.objects
 
+    @property
+    def memory(self) -> np.ndarray:
+        """(M,) all that decides what comes next, but for what the configuration and the world say."""
+        return self._arm.memory
+
+    def restore(self, memory: Sequence[float]) -> None:
+        """Go back, or forward, to a memory (M,). Raises CommandError, with nothing changed, for what is none."""
+        self._arm.restore(memory)
+
     def intrinsics(self) -> np.ndarray:
         """(3, 3) camera matrix K in pixels, pixel centres at whole numbers."""
         return self._scene.intrinsics()

@@ -1,0 +1,116 @@
+"""Kills the nodes of a learning run at random, again and again, until the run has ended all the same."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Callable, Dict, List, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from embodied_active_learning.session.names import SessionPaths
+from embodied_active_learning.session.observations import DATA_FILE
+from embodied_active_learning.session.session import Session
+from launching import environment, started
+
+EVERYTHING = "everything"
+TABLES = ("exploration", "training", "evaluation")
+
+
+class Crash(NamedTuple):
+    """One kill: what was killed, and how many observations were stored by then."""
+
+    victim: str
+    stored: int
+
+
+def processes_of(launch: int) -> Dict[str, int]:
+    """Process numbers of what a roslaunch has started, by the names of the nodes."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            words = (folder / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
+        except (OSError, IndexError, ValueError):
+            continue  # it has ended meanwhile
+        if parent == launch:
+            name = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "master")
+            found[name] = int(folder.name)
+    return found
+
+
+def kill(number: int) -> None:
+    """Kill one process as a power cut would; one that has ended already is left alone."""
+    with suppress(ProcessLookupError):
+        os.kill(number, signal.SIGKILL)
+
+
+def kill_everything(launch: subprocess.Popen) -> None:
+    """Kill a roslaunch with all that it has started, so that nothing can tidy up."""
+    os.kill(launch.pid, signal.SIGSTOP)  # it would start nodes anew while they are being killed
+    children = processes_of(launch.pid)
+    kill(launch.pid)
+    for number in children.values():
+        kill(number)
+    launch.wait()
+
+
+def stored_observations(path: Path) -> int:
+    """Observations that a session holds. Raises CorruptFileError for damage."""
+    if not (SessionPaths(path).observations / DATA_FILE).is_file():
+        return 0
+    with Session.open_read_only(path).open_observations() as store:
+        return len(store)
+
+
+def acknowledged(path: Path) -> int:
+    """Steps that the planner has written down: each had been acknowledged before."""
+    if not SessionPaths(path).config.is_file():
+        return 0
+    return len(Session.open_read_only(path).read_table("exploration")["step"])
+
+
+def crash(
+    home: Path,
+    path: Path,
+    arguments: List[str],
+    kills: int,
+    seed: int,
+    finished: Callable[[], bool],
+    timeout: float,
+    say: Callable[[str], None] = print,
+) -> List[Crash]:
+    """Run learn.launch with these arguments to its end through so many kills -> what was killed.
+
+    home: folder for logs; path: of the session; finished: whether the session has what a whole run leaves behind.
+    Raises AssertionError when an acknowledged observation is lost, or the run does not end within timeout seconds.
+    """
+    draw, crashes, ends_at = random.Random(seed), [], time.monotonic() + timeout
+    variables = environment(home)
+    while not finished():
+        resume = ["resume:=true"] if SessionPaths(path).config.is_file() else []
+        command = ["roslaunch", "embodied_active_learning", "learn.launch", *arguments, *resume, "respawn:=true"]
+        with started(command, home / f"launch-{len(crashes)}.log", variables) as launch:
+            while launch.poll() is None:
+                assert time.monotonic() < ends_at, f"the run did not end in {timeout:g} s: {crashes}"
+                _wait(launch, draw.expovariate(1.0 / 2.5) if len(crashes) < kills else 1.0)
+                processes = processes_of(launch.pid)
+                if launch.poll() is not None or len(crashes) >= kills or not processes:
+                    continue
+                victim = draw.choice([*sorted(set(processes) - {"master"}), EVERYTHING])
+                before = acknowledged(path)
+                kill_everything(launch) if victim == EVERYTHING else kill(processes[victim])
+                stored = stored_observations(path)
+                assert stored >= before, f"{before} observations were acknowledged, {stored} are stored"
+                crashes.append(Crash(victim, stored))
+                say(f"{len(crashes)} of {kills}: killed {victim} at observation {stored}")
+    return crashes
+
+
+def _wait(process: subprocess.Popen, seconds: float) -> None:
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(seconds)
