@@ -1,16 +1,11 @@
 #!/usr/bin/env python3
 """The planner when arm or camera fail: it holds the arm still, says why, stores nothing wrong, and goes on."""
 
-import os
-import signal
 import threading
 import time
 import unittest
-from contextlib import contextmanager
-from xmlrpc.client import ServerProxy
 
 import numpy as np
-import rosgraph
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from embodied_active_learning.msg import ArmCause, Observation, PlanarState
@@ -20,7 +15,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 import rostest
 from embodied_active_learning.ros.conversions import image_array, image_message, state_arrays, state_message
-from node_process import NodeProcess
+from node_process import NodeProcess, frozen
 
 TIMEOUT = 60.0
 PAUSED = "paused, waiting for a call of /planner/resume"
@@ -113,8 +108,6 @@ class FaultyArm:
             image.header.stamp += rospy.Duration(10.0)
         if self.fault == "image of another encoding":
             image.encoding = "16UC3"
-        if self.fault == "empty image":
-            image.data = b""
         if self.fault == "image of one colour":
             image.data = bytes(len(image.data))
         if not self.fault:
@@ -193,11 +186,11 @@ class PlannerFaultsTest(unittest.TestCase):
         before = self.last.index
         self.wait_for(lambda: self.last.index > before + 2, "exploration did not go on")
 
-    def check_that_it_holds_still_and_recovers(self, fault, words):
+    def check_that_it_holds_still_and_recovers(self, fault, words, tries=2):
         self.arm.fault = fault
         self.wait_for_words(words)
         stored, first = self.last.index, len(self.arm.commands)
-        self.wait_for(lambda: len(self.arm.commands) > first + 1, "the arm was not told to hold still")
+        self.wait_for(lambda: len(self.arm.commands) >= first + tries, "the arm was not told to hold still")
         self.assertEqual(self.last.index, stored)
         np.testing.assert_array_equal(np.abs(self.arm.commands[first:]).max(), 0.0)
         self.arm.fault = ""
@@ -233,9 +226,6 @@ class PlannerFaultsTest(unittest.TestCase):
     def test_images_of_another_encoding(self):
         self.check_that_it_holds_still_and_recovers("image of another encoding", "encoding is '16UC3'")
 
-    def test_images_without_content(self):
-        self.check_that_it_holds_still_and_recovers("empty image", "image has 0 bytes")
-
     def test_a_silent_pose(self):
         self.check_that_it_holds_still_and_recovers("pose is silent", "no state on /arm/state around the image's stamp")
 
@@ -246,7 +236,7 @@ class PlannerFaultsTest(unittest.TestCase):
         self.check_that_it_holds_still_and_recovers("pose is not a number", "not finite")
 
     def test_an_arm_that_an_operator_stopped_is_waited_for_longer_than_its_tries_last(self):
-        self.check_that_it_holds_still_and_recovers("stopped", "the arm was stopped by /operator")
+        self.check_that_it_holds_still_and_recovers("stopped", "the arm was stopped by /operator", tries=6)
 
     def test_an_arm_that_fails_is_tried_again(self):
         self.arm.failures = 3
@@ -312,7 +302,7 @@ class PlannerFaultsTest(unittest.TestCase):
         self.check_that_it_resumes()
 
     def test_a_planner_that_waits_for_the_trainer_can_be_paused(self):
-        with self.frozen("/trainer"):
+        with frozen("/trainer"):
             threading.Event().wait(1.0)
             self.check_that_it_pauses()
         self.check_that_it_resumes()
@@ -329,17 +319,6 @@ class PlannerFaultsTest(unittest.TestCase):
         self.arm.released.set()
         self.wait_for(lambda: self.arm.last_call == "stop", "the arm was not stopped")
         self.check_that_it_resumes()
-
-    @contextmanager
-    def frozen(self, node):
-        """A node that does not answer while the block lasts."""
-        api = rosgraph.Master("/check_planner_faults").lookupNode(node)
-        _, _, pid = ServerProxy(api).getPid("/check_planner_faults")
-        os.kill(pid, signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            os.kill(pid, signal.SIGCONT)
 
     def test_z_everything_stored_is_where_the_arm_was(self):
         states = np.array(rospy.ServiceProxy("trainer/trajectory", GetTrajectory)().states).reshape(-1, 3)

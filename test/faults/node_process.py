@@ -3,7 +3,12 @@
 import os
 import signal
 import subprocess
+from contextlib import contextmanager
 from pathlib import Path
+from xmlrpc.client import ServerProxy
+
+import rosgraph
+import rospy
 
 
 class NodeProcess:
@@ -38,3 +43,15 @@ class NodeProcess:
             return self.process.wait(timeout)
         finally:
             self.process.kill()
+
+
+@contextmanager
+def frozen(node):
+    """A node, whoever started it, that does not answer while the block lasts."""
+    caller = rospy.get_name()
+    _, _, pid = ServerProxy(rosgraph.Master(caller).lookupNode(node)).getPid(caller)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)

@@ -8,7 +8,7 @@ import unittest
 import numpy as np
 import rospy
 import tf2_ros
-from embodied_active_learning.msg import PlanarState
+from embodied_active_learning.msg import ArmCause, PlanarState
 from embodied_active_learning.srv import GoToPose, MoveArm
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -24,10 +24,11 @@ TIMEOUT = 30.0
 class PyBulletArmTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        for name in ("arm/move", "arm/go_to", "arm/stop", "arm/recover"):
+        for name in ("arm/move", "arm/go_to", "arm/keep", "arm/stop", "arm/recover"):
             rospy.wait_for_service(name, TIMEOUT)
         cls.move = rospy.ServiceProxy("arm/move", MoveArm)
         cls.go_to = rospy.ServiceProxy("arm/go_to", GoToPose)
+        cls.keep = rospy.ServiceProxy("arm/keep", Trigger)
         cls.stop = rospy.ServiceProxy("arm/stop", Trigger)
         cls.tf = tf2_ros.Buffer()
         cls.tf_listener = tf2_ros.TransformListener(cls.tf)
@@ -86,6 +87,7 @@ class PyBulletArmTest(unittest.TestCase):
         before, _ = state_arrays(self.move(0.0, 0.0, 0.0, 0.2).state)
         answer = self.move(float("nan"), 0.0, 0.0, 0.2)
         self.assertFalse(answer.success)
+        self.assertEqual(answer.cause, ArmCause.REFUSED)
         self.assertIn("finite", answer.message)
         after, _ = state_arrays(self.move(0.0, 0.0, 0.0, 0.2).state)
         np.testing.assert_allclose(after, before, atol=1e-4)
@@ -96,6 +98,7 @@ class PyBulletArmTest(unittest.TestCase):
     def test_a_pose_outside_the_workspace_is_refused(self):
         answer = self.go_to(1.5, 0.0, 0.0)
         self.assertFalse(answer.success)
+        self.assertEqual(answer.cause, ArmCause.REFUSED)
         self.assertIn("workspace", answer.message)
 
     def test_a_stop_by_somebody_else_lasts_until_the_arm_is_recovered(self):
@@ -103,18 +106,42 @@ class PyBulletArmTest(unittest.TestCase):
         subprocess.run(["rosservice", "call", "/arm/stop"], check=True, timeout=TIMEOUT, stdout=subprocess.DEVNULL)
         answer = self.move(0.05, 0.0, 0.0, 0.2)
         self.assertFalse(answer.success)
+        self.assertEqual(answer.cause, ArmCause.STOPPED)
         self.assertIn("stopped by /rosservice", answer.message)
+        self.assertFalse(self.keep().success)
         self.assertTrue(rospy.ServiceProxy("arm/recover", Trigger)().success)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
     def test_a_driver_that_stops_its_arm_leaves_it_to_others_at_once(self):
         headers = {"callerid": "/another_node"}
         move = rospy.ServiceProxy("arm/move", MoveArm, headers=headers)
-        self.assertIn("driven by /check_pybullet_arm", move(0.05, 0.0, 0.0, 0.2).message)
+        answer = move(0.05, 0.0, 0.0, 0.2)
+        self.assertEqual(answer.cause, ArmCause.BUSY)
+        self.assertIn("driven by /check_pybullet_arm", answer.message)
         self.assertTrue(self.stop().success)
         answer = move(0.05, 0.0, 0.0, 0.2)
         self.assertTrue(answer.success, answer.message)
         self.assertTrue(rospy.ServiceProxy("arm/stop", Trigger, headers=headers)().success)
+
+    def test_only_the_driver_keeps_the_arm(self):
+        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+        self.assertTrue(self.keep().success)
+        answer = rospy.ServiceProxy("arm/keep", Trigger, headers={"callerid": "/another_node"})()
+        self.assertFalse(answer.success)
+        self.assertIn("driven by /check_pybullet_arm, not by /another_node", answer.message)
+
+    def test_the_arm_comes_to_rest_when_its_driver_falls_silent(self):
+        reached = self.move(0.1, 0.0, 0.0, 0.2).state
+        at_rest = threading.Event()
+
+        def look(state):
+            if state.header.stamp > reached.header.stamp and np.all(np.abs(state_arrays(state)[1]) < 1e-3):
+                at_rest.set()
+
+        subscriber = rospy.Subscriber("arm/state", PlanarState, look)
+        self.assertTrue(at_rest.wait(TIMEOUT), "it still moves")
+        subscriber.unregister()
+        self.assertIn("driven by nobody", self.keep().message)
 
     def test_the_arm_stands_still_after_a_stop(self):
         self.move(0.1, 0.0, 0.0, 0.2)

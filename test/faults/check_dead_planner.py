@@ -1,0 +1,148 @@
+#!/usr/bin/env python3
+"""The arm when the program that commands it dies or hangs, and when an operator stops it: it comes to rest."""
+
+import threading
+import time
+import unittest
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from embodied_active_learning.msg import ArmCause, Observation, PlanarState
+from embodied_active_learning.srv import MoveArm
+from std_srvs.srv import Trigger
+
+import rostest
+from embodied_active_learning.config import Config
+from embodied_active_learning.ros.conversions import state_arrays
+from node_process import NodeProcess, frozen
+
+TIMEOUT = 60.0
+AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
+STEPS_UNDER_WAY = 2  # one that the arm is making, and one whose state has not reached the test
+BRAKING = np.array([0.02, 0.02, 0.2])  # m, m, rad
+
+
+class DeadPlannerTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        config = Config.from_dict(rospy.get_param("/config"))
+        speeds = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
+        cls.one_step = config.exploration.step_duration * speeds
+        cls.lease = config.arm.commander_timeout
+        cls.health = {}
+        cls.states = []
+        cls.observed = -1
+        rospy.Subscriber("/diagnostics", DiagnosticArray, cls.on_diagnostics)
+        rospy.Subscriber("observation", Observation, cls.on_observation)
+        rospy.Subscriber("arm/state", PlanarState, cls.on_state)
+        cls.move = rospy.ServiceProxy("arm/move", MoveArm)
+        cls.stop = rospy.ServiceProxy("arm/stop", Trigger)
+        cls.recover = rospy.ServiceProxy("arm/recover", Trigger)
+        cls.arm = NodeProcess("pybullet_arm")
+        cls.planner = NodeProcess("ergodic_planner")
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.planner.end()
+        cls.arm.end()
+
+    @classmethod
+    def on_diagnostics(cls, message):
+        cls.health.update({status.name.split(": ")[-1]: status for status in message.status})
+
+    @classmethod
+    def on_observation(cls, message):
+        cls.observed = message.index
+
+    @classmethod
+    def on_state(cls, message):
+        cls.states.append(np.stack(state_arrays(message)))
+
+    def setUp(self):
+        self.wait_for_progress()
+
+    def wait_for(self, condition, what):
+        waiting, ends_at = threading.Event(), time.monotonic() + TIMEOUT
+        while not condition():
+            self.assertLess(time.monotonic(), ends_at, what)
+            waiting.wait(0.02)
+
+    def wait_for_progress(self):
+        before = self.observed
+        self.wait_for(lambda: self.observed > before + 2, "exploration did not go on")
+
+    def check_that_another_node_is_refused(self):
+        answer = self.move(0.1, 0.0, 0.0, 0.2)
+        self.assertFalse(answer.success)
+        self.assertEqual(answer.cause, ArmCause.BUSY)
+        self.assertIn("/ergodic_planner", answer.message)
+
+    def check_that_the_arm_comes_to_rest(self, since):
+        """Without anybody's help, and not farther away than steps and braking take."""
+        self.wait_for(lambda: self.arm_values().get("driven by") == "nobody", "the arm is still driven")
+        self.wait_for(lambda: np.all(np.abs(self.states[-1][1]) <= AT_REST), "the arm still moves")
+        went = np.ptp([state for state, _ in self.states[since:]], axis=0)
+        self.assertTrue(np.all(went <= STEPS_UNDER_WAY * self.one_step + BRAKING), went)
+
+    def arm_values(self):
+        return {pair.key: pair.value for pair in self.health["arm"].values}
+
+    def wait_for_health(self, node, level, words):
+        def is_told():
+            return words in self.health[node].message and self.health[node].level == level
+
+        self.wait_for(is_told, f"{node} does not say {words!r}")
+
+    def test_the_arm_of_a_planner_that_was_killed_comes_to_rest(self):
+        self.planner.kill()
+        since = len(self.states) - 1
+        self.check_that_another_node_is_refused()
+        self.check_that_the_arm_comes_to_rest(since)
+        type(self).planner = NodeProcess("ergodic_planner")
+        self.wait_for_progress()
+
+    def test_the_arm_of_a_planner_that_hangs_comes_to_rest_and_is_taken_again_when_it_goes_on(self):
+        self.planner.freeze()
+        since = len(self.states) - 1
+        self.check_that_another_node_is_refused()
+        self.check_that_the_arm_comes_to_rest(since)
+        self.assertTrue(self.move(0.0, 0.0, 0.0, 0.2).success, "the arm is free")
+        self.assertTrue(self.stop().success)
+        self.planner.thaw()
+        self.wait_for_progress()
+
+    def test_a_planner_that_waits_longer_than_that_keeps_the_arm(self):
+        with frozen("/trainer"):
+            threading.Event().wait(1.5 * self.lease)
+            self.check_that_another_node_is_refused()
+        self.wait_for_progress()
+
+    def test_an_operators_stop_lasts_until_the_arm_is_recovered_however_long(self):
+        self.assertIn("takes no command until /arm/recover", self.stop().message)
+        self.wait_for_health(
+            "planner", DiagnosticStatus.ERROR, "the arm was stopped by /check_dead_planner: call arm/r"
+        )
+        self.wait_for_health("arm", DiagnosticStatus.WARN, "stopped by /check_dead_planner: call /arm/recover to go on")
+        observed, since = self.observed, len(self.states) - 1
+        threading.Event().wait(1.5 * self.lease)
+        self.assertEqual(self.move(0.1, 0.0, 0.0, 0.2).cause, ArmCause.STOPPED)
+        self.assertEqual(self.observed, observed)
+        self.assertTrue(np.all(np.abs(self.states[-1][1]) <= AT_REST))
+        np.testing.assert_allclose(self.states[-1][0], self.states[since][0], atol=1e-3)
+        self.assertTrue(self.recover().success)
+        self.wait_for_progress()
+        self.wait_for_health("planner", DiagnosticStatus.OK, "exploring")
+
+    def test_an_arm_that_is_started_anew_with_its_clock_is_gone_on_with(self):
+        before = rospy.Time.now()
+        self.arm.kill()
+        self.wait_for_health("planner", DiagnosticStatus.ERROR, "/arm/move did not answer")
+        type(self).arm = NodeProcess("pybullet_arm")
+        self.wait_for(lambda: rospy.Time.now() < before, "the clock did not go back")
+        self.wait_for_progress()
+
+
+if __name__ == "__main__":
+    rospy.init_node("check_dead_planner")
+    rostest.rosrun("embodied_active_learning", "check_dead_planner", DeadPlannerTest)
