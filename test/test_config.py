@@ -61,7 +61,7 @@ def test_a_profile_with_python_objects_in_it_is_refused_and_runs_nothing(tmp_pat
     canary = tmp_path / "canary"
     profile = tmp_path / "evil.yaml"
     profile.write_text(f"exploration: !!python/object/apply:os.system ['touch {canary}']\n")
-    with pytest.raises(ConfigError, match="is not YAML"):
+    with pytest.raises(ConfigError, match="is not plain YAML"):
         load_profile(profile)
     assert not canary.exists()
 
@@ -86,7 +86,7 @@ def test_an_unknown_profile_is_answered_with_those_there_are():
 
 
 def test_a_missing_profile_file_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"nowhere.yaml cannot be read"):
+    with pytest.raises(ConfigError, match=r"nowhere.yaml is missing"):
         load_profile(find_profile(str(tmp_path / "nowhere.yaml"), None))
 
 

@@ -128,7 +128,7 @@ def test_pixel_at_30_degrees_from_30_cm_is_nine_tenths_of_a_millimetre():
 
 def test_all_figures_of_a_finished_run_are_drawn(tmp_path):
     session = make_session(tmp_path)
-    save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60})
+    save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60, "observations": 40})
     paths = draw_all(session, [("red disc", 0.39, -0.10), ("blue disc", 0.55, 0.08)])
     assert [path.name for path in paths] == ["learning_metrics.png", "entropy.png", "reconstructions.png"]
     for path, width in zip(paths, (672, 1472, 1600)):

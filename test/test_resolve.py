@@ -52,7 +52,7 @@ def test_a_resumed_session_refuses_what_its_data_depends_on(tmp_path):
     ("overrides", "error", "expected"),
     [
         (["exploration.steps=5"], ConfigError, "not of the form section/key=value"),
-        (["exploration/steps=["], ConfigError, "not YAML"),
+        (["exploration/steps=["], ConfigError, "not plain YAML"),
         (["exploration/stepps=5"], ConfigError, "did you mean exploration/steps?"),
         (["simulation/world=rigth"], WorldError, "did you mean right?"),
         (["session/name=../x"], SessionError, "session/name"),

@@ -171,7 +171,7 @@ def tensors_copy():
 
 
 def test_missing_model_is_told_with_a_remedy(tmp_path):
-    with pytest.raises(CorruptFileError, match=r"model.safetensors is missing: train first"):
+    with pytest.raises(CorruptFileError, match=r"model.safetensors is missing: restore the file, or train again"):
         load_model(tmp_path / "model.safetensors")
 
 

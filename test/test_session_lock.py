@@ -35,7 +35,7 @@ def test_file_that_cannot_be_locked_is_named_with_the_reason(tmp_path, monkeypat
 
 def test_lock_file_that_cannot_be_opened_is_named(tmp_path):
     for attempt in (lock.acquire, lock.holder):
-        with pytest.raises(SessionError, match=rf"{tmp_path} cannot be locked \(Is a directory\)"):
+        with pytest.raises(SessionError, match=rf"{tmp_path} cannot be locked \(it is a folder\)"):
             attempt(tmp_path)
 
 

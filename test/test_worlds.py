@@ -109,14 +109,14 @@ def test_kind_and_pybullet_address_are_taken_from_the_file(load):
         (f"objects: {{a: {DUCK[:-1]}, colour: red}}}}", "objects/a/colour is 'red': give 3 or 4 numbers"),
         (f"objects: {{a: {DUCK[:-1]}, yaw: true}}}}", "objects/a/yaw is True: give a finite number"),
         ("objects: {a: {position: [0.4, 0]}}", "objects/a/urdf is missing"),
-        ("objects: {a: {urdf: gone.urdf, position: [0.4, 0]}}", "gone.urdf cannot be read"),
+        ("objects: {a: {urdf: gone.urdf, position: [0.4, 0]}}", "gone.urdf is missing"),
         ("objects: {a: {urdf: 'package://no_such_package/a.urdf', position: [0, 0]}}", "package no_such_package"),
         ("objects: [a, b]", "give names and values"),
         ("table: {texture: gone.png}", "there is no file .*gone.png"),
         ("table: {colour: [1, 1]}", "table/colour"),
         ("disturbances: {image_noise: -1}", "image_noise is -1"),
         ("objects: {a: [", "is not plain YAML"),
-        ("just words", "give names and values"),
+        ("just words", "is a str, expected fields"),
         ("objects: !!python/object/apply:os.getcwd []", "is not plain YAML"),
     ],
 )
@@ -129,7 +129,7 @@ def test_a_world_that_cannot_be_built_is_refused_by_name(load, text, complaint):
 @pytest.mark.parametrize(
     ("geometry", "complaint"),
     [
-        ('<mesh filename="gone.obj"/>', "gone.obj cannot be read"),
+        ('<mesh filename="gone.obj"/>', "gone.obj is missing"),
         ('<mesh filename="thing.stl"/>', "is not an OBJ file"),
         ('<mesh filename="empty.obj"/>', "no usable vertices"),
         ('<mesh filename="empty.obj" scale="1 1"/>', "'1 1' is not 3 numbers"),
@@ -147,7 +147,7 @@ def test_a_model_that_cannot_be_shown_is_refused_with_the_name_of_its_urdf(load,
 def test_an_unknown_world_is_answered_with_the_nearest_name():
     with pytest.raises(WorldError, match="did you mean diagonal"):
         load_world("diagnal", WORKSPACE)
-    with pytest.raises(WorldError, match=r"nowhere\.yaml cannot be read"):
+    with pytest.raises(WorldError, match=r"nowhere\.yaml is missing"):
         load_world("nowhere.yaml", WORKSPACE)
 
 

@@ -9,15 +9,19 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Dict, Iterator, Optional, Sequence, Tuple
 
-import yaml
-
 from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.reading import FileReader
 from embodied_active_learning.workspace import STATE_NAMES, Workspace
 
+_PROFILE_READER = FileReader(
+    ConfigError, "give the path of a profile, sections of keys as in config/paper.yaml", follow=True
+)
+_LONGEST_KEY = 80  # characters of an unknown key that are looked at and told
 EXPLORERS = ("ergodic", "random_walk", "uniform", "uniform_ergodic")
 
 
@@ -412,15 +416,7 @@ class Config:
 
 def load_profile(path: Path) -> Dict[str, Any]:
     """Sections of keys that a YAML profile sets. Raises ConfigError when the file is missing or is no such thing."""
-    try:
-        values = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"profile {path} cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"profile {path} is not YAML: {error}") from error
-    values = {} if values is None else values
-    if not isinstance(values, dict):
-        raise ConfigError(f"profile {path} is a {type(values).__name__}, not sections of keys")
+    values = _PROFILE_READER.read_yaml(Path(path))
     return {section: {} if keys is None else keys for section, keys in values.items()}
 
 
@@ -453,9 +449,10 @@ def legal_values(item: dataclasses.Field) -> str:
 def _refuse_unknown(given: Dict[str, Any], known: Dict[str, Any], kind: str, section: str = "") -> None:
     for key in given:
         if key not in known:
-            nearest = difflib.get_close_matches(str(key), list(known), n=1, cutoff=0.4)
+            text = str(key)[:_LONGEST_KEY]
+            nearest = difflib.get_close_matches(text, list(known), n=1, cutoff=0.4)
             hint = f"did you mean {section}{nearest[0]}?" if nearest else f"known: {', '.join(known)}"
-            raise ConfigError(f"unknown {kind} {section}{key}: {hint}")
+            raise ConfigError(f"unknown {kind} {section}{text}: {hint}")
 
 
 def _build_section(section_class: type, name: str, keys: Any) -> Any:
@@ -511,7 +508,7 @@ def _check_number(key: str, item: dataclasses.Field, value: Any, kind: type) -> 
 
 def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:
     """A profile by name in the given folder, or by path. Raises ConfigError listing what there is."""
-    path = Path(name_or_path).expanduser()
+    path = Path(os.path.expanduser(name_or_path))
     if path.suffix in (".yaml", ".yml"):
         return path
     known = sorted(candidate.stem for candidate in folder.glob("*.yaml")) if folder else []

@@ -11,12 +11,40 @@ from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.identification import Decision, Identification
-from embodied_active_learning.session.identifications import identification_folder, save_identification
+from embodied_active_learning.session.fingerprints import load_fingerprints
+from embodied_active_learning.session.identifications import (
+    identification_folder,
+    is_identified,
+    save_identification,
+)
 from embodied_active_learning.session.names import SessionPaths
 from embodied_active_learning.session.observations import ObservationStore
-from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.session import Session, find_session
+
+MOST_SESSIONS = 64
+"""Sessions whose fingerprints are looked for at a time: each has a model that is kept in memory."""
 
 _CHUNK = 64
+
+
+def read_sets(root: Path, sessions: Sequence[str]) -> List[FingerprintSet]:
+    """The fingerprints of sessions below a folder, by name; one that is named twice is read once.
+
+    Raises SessionError for a name that is not allowed or unknown, and for none or too many of them.
+    """
+    names = list(dict.fromkeys(sessions))
+    if not names:
+        raise SessionError("no session was named whose fingerprints are looked for: name one at least")
+    if len(names) > MOST_SESSIONS:
+        raise SessionError(f"{len(names)} sessions were named: name {MOST_SESSIONS} at most")
+    return [load_fingerprints(find_session(root, name, "one of sessions")) for name in names]
+
+
+def check_results(session_path: Path, name: str, overwrite: bool) -> None:
+    """Raise SessionError unless results may be kept under a name: it is legal, and new or meant to be replaced."""
+    if is_identified(session_path, name) and not overwrite:
+        folder = identification_folder(session_path, name)
+        raise SessionError(f"there are results in {folder}: choose another name, or ask for overwrite")
 
 
 class IdentificationRun:
@@ -32,12 +60,16 @@ class IdentificationRun:
         name: str,
         images: int,
         settings: IdentificationConfig,
+        overwrite: bool = False,
     ) -> None:
         """session_path: whose images are looked at, so many; 0 for all there are. sets: the fingerprints of sessions.
 
-        Raises SessionError when there is no such session or nothing to look at, ConfigError when cameras differ.
+        overwrite: whether earlier results of that name may be replaced.
+        Raises SessionError when there is no such session or nothing to look at, or when the name is taken, ConfigError
+        when cameras differ.
         """
         self._path = Path(session_path)
+        check_results(self._path, name, overwrite)
         self.folder = identification_folder(self._path, name)
         self.figures = SessionPaths(self._path).figures
         self._name = name

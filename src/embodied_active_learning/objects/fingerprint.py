@@ -12,7 +12,7 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.session.names import check_name
+from embodied_active_learning.session.names import check_name, check_recorded_name
 
 OBJECT, BLANK = "object", "blank"
 KINDS = (OBJECT, BLANK)
@@ -79,7 +79,7 @@ class FingerprintSet:
 
     def __post_init__(self) -> None:
         """Check every field, and that the fingerprints fit the configuration."""
-        check_name(self.session, "session of the fingerprints")
+        check_recorded_name(self.session, "session of the fingerprints")
         for field in ("updates", "observations"):
             count = getattr(self, field)
             if type(count) is not int or count < 0:

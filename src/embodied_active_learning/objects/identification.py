@@ -8,7 +8,7 @@ from typing import List, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import CameraConfig, IdentificationConfig
-from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.model.learned import LearnedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights, Peak
@@ -87,7 +87,10 @@ class Identification:
         camera: CameraConfig,
         settings: IdentificationConfig,
     ) -> None:
-        """workspace, camera: those of the stream. Raises ConfigError when a model was trained with another camera."""
+        """workspace, camera: those of the stream.
+
+        Raises ConfigError when a model was trained with another camera, CorruptFileError when it is damaged.
+        """
         self._settings = settings
         self._weights = EvidenceWeights(settings)
         self._groups: List[Tuple[Matcher, List[Sought]]] = []
@@ -96,7 +99,7 @@ class Identification:
             _check_camera(found, camera)
             if not found.fingerprints:
                 continue
-            model = LearnedModel(found.config, found.weights)
+            model = _model(found)
             matcher = Matcher(model, found.fingerprints, settings)
             sought = []
             for item in found.fingerprints:
@@ -258,6 +261,16 @@ def _numbered(candidates: Sequence[Decision]) -> List[Decision]:
     if found[0].kind == BLANK:
         found = found[:1]
     return [replace(candidate, instance=number) for number, candidate in enumerate(found, start=1)]
+
+
+def _model(found: FingerprintSet) -> LearnedModel:
+    try:
+        return LearnedModel(found.config, found.weights)
+    except RuntimeError as error:
+        raise CorruptFileError(
+            f"the model of session {found.session}'s fingerprints does not fit the session's camera and model settings "
+            f"({error}): call /fingerprint again"
+        ) from error
 
 
 def _check_camera(found: FingerprintSet, camera: CameraConfig) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Iterator
 
@@ -20,7 +20,9 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
     # The same folder, because a rename is atomic only inside one file system.
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}{_SUFFIX}")
     try:
-        with temporary.open("wb") as stream:
+        # Of a process that was killed and had the same number; nobody else's: it is not written through a link.
+        temporary.unlink(missing_ok=True)
+        with temporary.open("xb") as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -29,7 +31,8 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
     except OSError as error:
         raise SessionError(f"{path} cannot be written ({error.strerror}): what was there before is kept") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # what is left is removed by the next writer; the first error is the one to tell
+            temporary.unlink()
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -55,7 +58,8 @@ def sync_folder(folder: Path) -> None:
 def remove_leftovers(folder: Path) -> None:
     """Delete the temporary files of writers that were killed. Only for the one who holds the session."""
     for leftover in folder.glob(f".*{_SUFFIX}"):
-        leftover.unlink(missing_ok=True)
+        with suppress(OSError):  # they do no harm
+            leftover.unlink()
 
 
 def is_leftover(name: str) -> bool:

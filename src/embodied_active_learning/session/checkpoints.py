@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 import torch
 
-from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.reading import FileReader
+from embodied_active_learning.session.array_files import READER
 from embodied_active_learning.session.atomic import remove_leftovers
+from embodied_active_learning.session.names import stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 _NAME = re.compile(r"^checkpoint_(\d{9})\.safetensors$")
@@ -34,7 +38,11 @@ def save_checkpoint(
     finite; the earlier checkpoints are kept then.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    stays_inside(folder.parent, folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SessionError(f"{folder} cannot be created ({error.strerror}): free some disk space") from error
     remove_leftovers(folder)
     path = folder / f"checkpoint_{updates:09d}.safetensors"
     write_tensors(path, "checkpoint", tensors, {"updates": updates, "counters": counters})
@@ -43,7 +51,8 @@ def save_checkpoint(
     kept = stored[stored.index(path) :][:keep]
     for other in stored:
         if other not in kept:
-            other.unlink()
+            with suppress(OSError):  # what resists is left to the next time
+                other.unlink()
     return path
 
 
@@ -53,9 +62,11 @@ def load_latest(folder: Path) -> Optional[Checkpoint]:
     Raises CorruptFileError when there are checkpoints but none can be used.
     """
     refused: List[str] = []
-    for path in _newest_first(Path(folder)):
+    for path in _newest_first(stays_inside(Path(folder).parent, Path(folder))):
         try:
             tensors, facts = read_tensors(path, "checkpoint")
+            READER.expect_types(path, facts, {"updates": (int,), "counters": (dict,)})
+            READER.expect(path, facts, {"updates": int(_NAME.match(path.name).group(1))})
             return Checkpoint(path, facts["updates"], tensors, facts["counters"], tuple(refused))
         except CorruptFileError as error:
             refused.append(str(error))
@@ -69,9 +80,9 @@ def save_model(path: Path, tensors: Dict[str, torch.Tensor], metadata: Dict[str,
     write_tensors(Path(path), "model", tensors, metadata)
 
 
-def load_model(path: Path) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
+def load_model(path: Path, reader: FileReader = READER) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
     """The tensors of a model and the facts about it. Raises CorruptFileError naming the file and the field."""
-    return read_tensors(Path(path), "model")
+    return read_tensors(Path(path), "model", reader)
 
 
 def _newest_first(folder: Path) -> List[Path]:

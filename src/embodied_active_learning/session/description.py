@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any, Dict, List, Tuple
-
-import yaml
+from typing import Any, List, Tuple
 
 from embodied_active_learning import __version__
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
-from embodied_active_learning.session.atomic import write_text
+from embodied_active_learning.reading import FileReader
+from embodied_active_learning.session.sealed_yaml import remove_seal, write_sealed
 
 FORMAT = "embodied_active_learning/session"
 VERSION = 1
+
+_READER = FileReader(CorruptFileError, "restore it, or choose another session")
 
 # What the stored observations and weights depend on; everything else may change when a session is continued.
 FIXED: Tuple[Tuple[str, Tuple[str, ...]], ...] = (
@@ -35,22 +36,18 @@ def write_description(path: Path, config: Config) -> None:
         "written": time.strftime("%Y-%m-%d %H:%M:%S %z"),
         "config": config.to_dict(),
     }
-    write_text(path, yaml.safe_dump(content, sort_keys=False))
+    write_sealed(path, content)
 
 
 def read_description(path: Path) -> Config:
     """The configuration of a run. Raises CorruptFileError naming the file and the field."""
-    content = _read_yaml(path)
-    for field, expected in (("format", FORMAT), ("version", VERSION)):
-        if content.get(field) != expected:
-            raise CorruptFileError(
-                f"{path}: {field} is {content.get(field)!r}, expected {expected!r}: it is no session of this package's "
-                f"version {__version__}; choose another folder"
-            )
+    content = _READER.read_yaml(path)
+    _READER.expect(path, content, {"format": FORMAT, "version": VERSION})
+    content = remove_seal(path, content, _READER)
     try:
         return Config.from_dict(content.get("config"))
     except ConfigError as error:
-        raise CorruptFileError(f"{path}: {error}") from error
+        raise _READER.refuse(f"{path}:", str(error)) from error
 
 
 def is_description(path: Path) -> bool:
@@ -77,15 +74,3 @@ def changed_keys(stored: Config, wanted: Config) -> List[str]:
 def _comparable(key: str, value: Any) -> Any:
     # The same world may lie elsewhere after a new installation.
     return Path(value).stem if key == "world" else value
-
-
-def _read_yaml(path: Path) -> Dict[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CorruptFileError(f"{path} cannot be read ({error.strerror}): choose another session") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise CorruptFileError(f"{path} is not plain YAML ({error}): restore it, or choose another session") from error
-    if not isinstance(content, dict):
-        raise CorruptFileError(f"{path} is a {type(content).__name__}, expected fields: choose another session")
-    return content

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
+from contextlib import suppress
 from pathlib import Path
 
 from embodied_active_learning.config import Config
@@ -18,16 +20,51 @@ _COPIES_WITH_OPTIMISER = 4  # weights, Adam's two moments, and the weights of th
 def check_space(folder: Path, config: Config, stored_bytes: int = 0) -> None:
     """Raise SessionError unless the folder can be written and has room for the run, less what is stored already."""
     needed = max(estimate_bytes(config) - stored_bytes, 0) + SPARE_BYTES
-    existing = next(parent for parent in (folder, *folder.parents) if parent.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
-        raise SessionError(f"{folder} cannot be created or written below {existing}: choose another session/root")
-    free = shutil.disk_usage(existing).free
+    existing = _existing(folder)
+    if not existing.is_dir():
+        raise SessionError(f"{folder} cannot be created, as {existing} is no folder: choose another session/root")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise SessionError(
+            f"{folder} cannot be written, as {existing} {_why_not_writable(existing)}: mend that, or choose another "
+            "session/root"
+        )
+    free = free_bytes(existing)
     if free < needed:
         raise SessionError(
             f"{folder} needs about {needed / 1e9:.1f} GB for {config.exploration.steps} observations of "
             f"{config.camera.width} x {config.camera.height} px, but {free / 1e9:.1f} GB are free: free some, set "
             "session/root to another disk, or lower exploration/steps"
         )
+
+
+def free_bytes(path: Path) -> int:
+    """Bytes that can still be written where a path is, or will be. Raises SessionError when that cannot be told."""
+    try:
+        return shutil.disk_usage(_existing(Path(path))).free
+    except OSError as error:
+        raise SessionError(f"the free space of {path} cannot be told ({error.strerror}): see to the disk") from error
+
+
+def bytes_below(folder: Path) -> int:
+    """Bytes in the files below a folder, as far as they are still there when looked at; links count nothing."""
+    total = 0
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            with suppress(FileNotFoundError):
+                status = os.lstat(os.path.join(parent, name))
+                total += status.st_size if stat.S_ISREG(status.st_mode) else 0
+    return total
+
+
+def _existing(path: Path) -> Path:
+    """The path, or the nearest one above it that there is."""
+    return next(parent for parent in (path, *path.parents) if parent.exists())
+
+
+def _why_not_writable(folder: Path) -> str:
+    if os.statvfs(folder).f_flag & os.ST_RDONLY:
+        return "lies on a disk that is mounted read-only"
+    return "may not be written by this user"
 
 
 def estimate_bytes(config: Config) -> int:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import os
 import re
-import reprlib
 import shutil
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Collection, Dict, Iterable, Iterator, List
+from typing import Any, Dict, Iterable, Iterator, List
 
 import cv2
 import numpy as np
@@ -22,11 +22,13 @@ import yaml
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, FingerprintSet
+from embodied_active_learning.reading import FileReader, open_plain, shown
+from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import is_leftover, sync_folder, write_bytes, write_text
 from embodied_active_learning.session.checkpoints import load_model, save_model
 from embodied_active_learning.session.description import changed_keys, read_description
 from embodied_active_learning.session.lock import claim
-from embodied_active_learning.session.names import LOCK_FILE, SessionPaths, check_name
+from embodied_active_learning.session.names import LOCK_FILE, SessionPaths, check_name, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/fingerprints"
@@ -35,15 +37,14 @@ SET_FILE = "set.yaml"
 MODEL_FILE = "model.safetensors"
 FINGERPRINT_FILE = "fingerprint.safetensors"
 THUMBNAIL_FILE = "thumbnail.png"
-LARGEST_SET = 2**20  # bytes
-LARGEST_MODEL = 2**32
-LARGEST_FINGERPRINT = 2**30
 
 _KIND = "fingerprint"
 _SET_FACTS = ("session", "updates", "observations", "created", "names")
 _FINGERPRINT_FACTS = ("name", "kind", "importance")
 _GENERATION = re.compile(r"[0-9]{6,}")
-_REMEDY = "restore it, or call /fingerprint again"
+_READER = FileReader(CorruptFileError, "restore it, or call /fingerprint again")
+_MODEL_READER = replace(_READER, limit=array_files.READER.limit)
+_FINGERPRINT_READER = replace(_READER, limit=2**30)
 
 
 def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
@@ -57,10 +58,10 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
     folder = SessionPaths(session_path).fingerprints
     _check_belongs(session_path, found)
     try:
-        _check_inside(session_path, folder)
+        stays_inside(session_path, folder)
         folder.mkdir(exist_ok=True)
         sync_folder(session_path)
-        with (folder / LOCK_FILE).open("ab") as held:
+        with open_plain(folder / LOCK_FILE, "r+b") as held:
             claim(held, folder)
             return _replace_set(folder, found)
     except (OSError, SessionError) as error:
@@ -100,9 +101,6 @@ def _check_belongs(session_path: Path, found: FingerprintSet) -> None:
     changes = changed_keys(read_description(SessionPaths(session_path).config), found.config)
     if changes:
         raise SessionError(f"fingerprints do not belong to session {session_path}: {'; '.join(changes)}")
-    for fingerprint in found.fingerprints:
-        if fingerprint.name in (SET_FILE, MODEL_FILE):
-            raise SessionError(f"name of a fingerprint is {fingerprint.name!r}, as a file of its set: give another one")
 
 
 def _replace_set(folder: Path, found: FingerprintSet) -> Path:
@@ -135,10 +133,10 @@ def _write_set(folder: Path, found: FingerprintSet) -> None:
     }
     # The model's file is checksummed: with it, a changed set.yaml does not pass for the one that was written.
     save_model(folder / MODEL_FILE, found.weights, facts)
-    _refuse_large(folder / MODEL_FILE, LARGEST_MODEL, SessionError, "choose smaller model/hidden_sizes")
+    _refuse_large(folder / MODEL_FILE, _MODEL_READER, "choose smaller model/hidden_sizes")
     # Last, because it brings the names of all the others to the disk.
     write_text(folder / SET_FILE, yaml.safe_dump({"format": FORMAT, "version": VERSION, **facts}, sort_keys=False))
-    _refuse_large(folder / SET_FILE, LARGEST_SET, SessionError, "keep fewer fingerprints")
+    _refuse_large(folder / SET_FILE, _READER, "keep fewer fingerprints")
 
 
 def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
@@ -148,7 +146,7 @@ def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
     }
     facts = {"name": fingerprint.name, "kind": fingerprint.kind, "importance": float(fingerprint.importance)}
     write_tensors(folder / FINGERPRINT_FILE, _KIND, tensors, facts)
-    _refuse_large(folder / FINGERPRINT_FILE, LARGEST_FINGERPRINT, SessionError, "keep fewer views")
+    _refuse_large(folder / FINGERPRINT_FILE, _FINGERPRINT_READER, "keep fewer views")
     _, png = cv2.imencode(".png", np.ascontiguousarray(fingerprint.thumbnail[..., ::-1]))
     write_bytes(folder / THUMBNAIL_FILE, png.tobytes())
 
@@ -156,11 +154,10 @@ def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
 def _read_set(session_path: Path, generation: Path, config: Config) -> FingerprintSet:
     path, model = generation / SET_FILE, generation / MODEL_FILE
     facts = _read_set_file(session_path, path)
-    _check_file(session_path, model, LARGEST_MODEL)
-    with _damage_in(model):
-        weights, written = load_model(model)
-    _check_fields(model, written, _SET_FACTS)
-    _expect(path, facts, written)
+    _check_inside(session_path, model)
+    weights, written = load_model(model, _MODEL_READER)
+    _READER.expect_fields(model, written, _SET_FACTS)
+    _READER.expect(path, facts, written)
     fingerprints = tuple(
         _read_fingerprint(session_path, generation / name / FINGERPRINT_FILE) for name in facts.pop("names")
     )
@@ -170,14 +167,13 @@ def _read_set(session_path: Path, generation: Path, config: Config) -> Fingerpri
 
 def _read_set_file(session_path: Path, path: Path) -> Dict[str, Any]:
     """The facts of a set, and names that are safe to make paths of; the other facts are not checked yet."""
-    _check_file(session_path, path, LARGEST_SET)
-    with _damage_in(path):
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    _check_fields(path, content, ("format", "version", *_SET_FACTS))
-    _expect(path, content, {"format": FORMAT, "version": VERSION})
+    _check_inside(session_path, path)
+    content = _READER.read_yaml(path)
+    _READER.expect_fields(path, content, ("format", "version", *_SET_FACTS))
+    _READER.expect(path, content, {"format": FORMAT, "version": VERSION})
     facts = {field: content[field] for field in _SET_FACTS}
     if not isinstance(facts["names"], list):
-        raise CorruptFileError(f"{path}: names is {reprlib.repr(facts['names'])}, expected a list: {_REMEDY}")
+        raise _READER.refuse(f"{path}:", f"names is {shown(facts['names'])}, expected a list")
     with _damage_in(path):
         for name in facts["names"]:
             check_name(name, "one of names")
@@ -185,52 +181,23 @@ def _read_set_file(session_path: Path, path: Path) -> Dict[str, Any]:
 
 
 def _read_fingerprint(session_path: Path, path: Path) -> Fingerprint:
-    _check_file(session_path, path, LARGEST_FINGERPRINT)
+    _check_inside(session_path, path)
     with _damage_in(path):
-        tensors, facts = read_tensors(path, _KIND)
-        _check_fields(path, facts, _FINGERPRINT_FACTS)
-        _expect(path, facts, {"name": path.parent.name})
-        _check_fields(path, tensors, ARRAYS)
+        tensors, facts = read_tensors(path, _KIND, _FINGERPRINT_READER)
+        _READER.expect_fields(path, facts, _FINGERPRINT_FACTS)
+        _READER.expect(path, facts, {"name": path.parent.name})
+        _READER.expect_fields(path, tensors, ARRAYS)
         return Fingerprint(**facts, **{field: tensor.numpy() for field, tensor in tensors.items()})
 
 
-def _check_file(session_path: Path, path: Path, limit: int) -> None:
-    """Refuse what is no file, leads out of the session, or is larger than limit [bytes], before it is read."""
-    _check_inside(session_path, path)
-    with _damage_in(path):
-        if not path.is_file():
-            raise CorruptFileError(f"{path} is missing or no file: {_REMEDY}")
-        _refuse_large(path, limit, CorruptFileError, _REMEDY)
-
-
 def _check_inside(session_path: Path, path: Path) -> None:
-    real = Path(os.path.realpath(path))
-    if Path(os.path.realpath(session_path)) not in real.parents:
-        raise CorruptFileError(f"{path} is a link out of the session, to {real}: {_REMEDY}")
+    with _damage_in(path):
+        stays_inside(session_path, path)
 
 
-def _refuse_large(path: Path, limit: int, error: type, remedy: str) -> None:
-    size = path.stat().st_size
-    if size > limit:
-        raise error(f"{path} has {size} bytes, and {limit} are allowed: {remedy}")
-
-
-def _check_fields(path: Path, content: Any, expected: Collection[str]) -> None:
-    if not isinstance(content, dict):
-        raise CorruptFileError(f"{path} is a {type(content).__name__}, expected fields: {_REMEDY}")
-    for field in expected:
-        if field not in content:
-            raise CorruptFileError(f"{path}: {field} is missing: {_REMEDY}")
-    for field in content:
-        if field not in expected:
-            raise CorruptFileError(f"{path}: {reprlib.repr(field)} is no field of it: {_REMEDY}")
-
-
-def _expect(path: Path, content: Dict[str, Any], expected: Dict[str, Any]) -> None:
-    for field, value in expected.items():
-        if content[field] != value:
-            found = reprlib.repr(content[field])
-            raise CorruptFileError(f"{path}: {field} is {found}, expected {reprlib.repr(value)}: {_REMEDY}")
+def _refuse_large(path: Path, reader: FileReader, remedy: str) -> None:
+    """Refuse to keep a file that would not be read back."""
+    replace(reader, error=SessionError, remedy=remedy).check(path)
 
 
 @contextmanager
@@ -240,10 +207,8 @@ def _damage_in(path: Path) -> Iterator[None]:
         yield
     except CorruptFileError:
         raise
-    except OSError as error:
-        raise CorruptFileError(f"{path} cannot be read ({error.strerror}): {_REMEDY}") from error
-    except (yaml.YAMLError, SessionError, TypeError, ValueError, RecursionError) as error:
-        raise CorruptFileError(f"{path}: {error}: {_REMEDY}") from error
+    except (SessionError, TypeError, ValueError) as error:
+        raise _READER.refuse(f"{path}:", str(error)) from error
 
 
 def _generations(folder: Path) -> List[Path]:

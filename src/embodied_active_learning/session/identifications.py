@@ -6,17 +6,20 @@ import csv
 import dataclasses
 import io
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
+import numpy as np
 import torch
-import yaml
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.objects.identification import Decision, Identification
+from embodied_active_learning.reading import LARGEST_YAML, FileReader, plain_types
 from embodied_active_learning.session.atomic import remove_leftovers, write_text
-from embodied_active_learning.session.names import SessionPaths, check_name
+from embodied_active_learning.session.names import SessionPaths, check_name, stays_inside
+from embodied_active_learning.session.sealed_yaml import remove_seal, sealed_text
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/decisions"
@@ -25,8 +28,8 @@ DECISIONS_FILE = "decisions.yaml"
 TABLE_FILE = "decisions.csv"
 BELIEFS_FILE = "beliefs.safetensors"
 TRACE_FILE = "trace.safetensors"
-LARGEST_DECISIONS = 2**24  # bytes
 _POSE = ("x", "y", "theta")
+_READER = FileReader(CorruptFileError, "identify again")
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,17 @@ class Identified:
 
 
 def identification_folder(session_path: Path, name: str) -> Path:
-    """Where an identification of a session is kept. Raises SessionError for a name that is not allowed."""
-    return SessionPaths(session_path).identification / check_name(name, "name of the identification")
+    """Where an identification of a session is kept.
+
+    Raises SessionError for a name that is not allowed, or when the place is a link out of the session.
+    """
+    folder = SessionPaths(session_path).identification / check_name(name, "name of the identification")
+    return stays_inside(Path(session_path), folder)
+
+
+def is_identified(session_path: Path, name: str) -> bool:
+    """Whether there is a finished identification of that name. Raises SessionError as identification_folder does."""
+    return os.path.lexists(identification_folder(session_path, name) / DECISIONS_FILE)
 
 
 def save_identification(
@@ -52,6 +64,11 @@ def save_identification(
     An earlier one of the same name is replaced. Raises SessionError when the disk fails.
     """
     folder = identification_folder(session_path, name)
+    facts = {"images": identification.images, "session": session_path.name}
+    rows = [_plain(decision) for decision in decisions]
+    text = sealed_text({"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows})
+    if len(text) > LARGEST_YAML:
+        raise SessionError(f"{len(rows)} decisions would not be read back from {folder}: look for fewer fingerprints")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(folder)
@@ -61,30 +78,24 @@ def save_identification(
         raise SessionError(
             f"{folder} cannot be written ({error.strerror}): free some space, or mend its rights"
         ) from error
-    facts = {"images": identification.images, "session": session_path.name}
-    beliefs, trace = _beliefs(identification), _trace(identification)
-    write_tensors(folder / BELIEFS_FILE, "beliefs", beliefs, facts)
-    write_tensors(folder / TRACE_FILE, "trace", trace, facts)
-    rows = [_plain(decision) for decision in decisions]
+    write_tensors(folder / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
+    write_tensors(folder / TRACE_FILE, "trace", _trace(identification), facts)
     write_text(folder / TABLE_FILE, _table(rows))
-    content = {"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows}
-    write_text(folder / DECISIONS_FILE, yaml.safe_dump(content, sort_keys=False))
+    write_text(folder / DECISIONS_FILE, text)
     return folder
 
 
 def load_identification(session_path: Path, name: str) -> Identified:
     """The decisions of a finished one. Raises SessionError when there is none, CorruptFileError when it is damaged."""
     path = identification_folder(session_path, name) / DECISIONS_FILE
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise SessionError(f"{path} is missing: there is no identification of that name, or it did not finish")
-    content = _read_yaml(path)
-    for field, expected in (("format", FORMAT), ("version", VERSION), ("name", name)):
-        if content.get(field) != expected:
-            raise CorruptFileError(f"{path}: {field} is {content.get(field)!r}, expected {expected!r}: identify again")
-    if type(content.get("images")) is not int or not isinstance(content.get("decisions"), list):
-        raise CorruptFileError(f"{path}: images or decisions are not what they should be: identify again")
+    content = _READER.read_yaml(path)
+    _READER.expect(path, content, {"format": FORMAT, "version": VERSION, "name": name})
+    content = remove_seal(path, content, _READER)
+    _READER.expect_types(path, content, _TYPES)
     decisions = tuple(_decision(path, index, row) for index, row in enumerate(content["decisions"]))
-    return Identified(name, str(content.get("session")), content["images"], decisions)
+    return Identified(name, content["session"], content["images"], decisions)
 
 
 def load_trace(session_path: Path, name: str) -> Dict[str, torch.Tensor]:
@@ -134,13 +145,25 @@ def _plain(decision: Decision) -> Dict[str, Any]:
 
 def _decision(path: Path, index: int, row: Any) -> Decision:
     """A decision as it was written. Raises CorruptFileError."""
-    try:
-        values = dict(row)
-        pose = [float(values.pop(name)) for name in _POSE]
-        values["mismatch"] = math.inf if values["mismatch"] is None else float(values["mismatch"])
-        return Decision(pose=torch.tensor(pose, dtype=torch.float64).numpy(), **values)
-    except (TypeError, ValueError, KeyError) as error:
-        raise CorruptFileError(f"{path}: decision {index} is damaged ({error}): identify again") from error
+    _READER.expect_types(f"{path}: decision {index}", row, _DECISION_TYPES)
+    values = dict(row)
+    pose = [float(values.pop(name)) for name in _POSE]
+    values["mismatch"] = math.inf if values["mismatch"] is None else float(values["mismatch"])
+    return Decision(pose=np.array(pose), **values)
+
+
+def _decision_types() -> Dict[str, Tuple[type, ...]]:
+    """The plain types of a decision's fields, as _plain writes them."""
+    types = plain_types(Decision)
+    del types["pose"]
+    types.update(dict.fromkeys(_POSE, (float, int)), mismatch=(float, int, type(None)))
+    return types
+
+
+_TYPES = {
+    "format": (str,), "version": (int,), "name": (str,), "images": (int,), "session": (str,), "decisions": (list,),
+}  # fmt: skip
+_DECISION_TYPES = _decision_types()
 
 
 def _table(rows: List[Dict[str, Any]]) -> str:
@@ -150,15 +173,3 @@ def _table(rows: List[Dict[str, Any]]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()
-
-
-def _read_yaml(path: Path) -> Dict[str, Any]:
-    if path.stat().st_size > LARGEST_DECISIONS:
-        raise CorruptFileError(f"{path} is larger than any table of decisions: identify again")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, ValueError) as error:
-        raise CorruptFileError(f"{path} is not plain YAML ({error}): identify again") from error
-    if not isinstance(content, dict):
-        raise CorruptFileError(f"{path} is a {type(content).__name__}, expected fields: identify again")
-    return content

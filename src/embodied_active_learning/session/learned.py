@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Dict, NamedTuple, Optional
 
 import torch
 
+from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.reading import FileReader
 from embodied_active_learning.session.checkpoints import load_latest, load_model
 from embodied_active_learning.session.session import Session
+
+_READER = FileReader(CorruptFileError, "train again")
 
 
 class Trained(NamedTuple):
@@ -27,11 +33,10 @@ def load_trained(session: Session) -> Optional[Trained]:
     Raises CorruptFileError when the file is damaged or belongs to another configuration.
     """
     path = session.paths.model
-    if path.exists():
+    if os.path.lexists(path):
         weights, facts = load_model(path)
-        updates = facts.get("updates")
-        if type(updates) is not int:
-            raise CorruptFileError(f"{path}: updates is {updates!r}, expected a number: train again")
+        _READER.expect_types(path, facts, {"updates": (int,), "observations": (int,)})
+        updates = facts["updates"]
     else:
         checkpoint = load_latest(session.paths.checkpoints)
         if checkpoint is None:
@@ -39,7 +44,15 @@ def load_trained(session: Session) -> Optional[Trained]:
         path, updates, weights = checkpoint.path, checkpoint.updates, network_weights(checkpoint.tensors)
     if updates == 0:
         return None
+    return Trained(_model(path, session.config, weights), weights, updates)
+
+
+def _model(path: Path, config: Config, weights: Dict[str, torch.Tensor]) -> LearnedModel:
+    """The model of a configuration with these weights. Raises CorruptFileError when they do not fit."""
+    for name, tensor in weights.items():
+        if tensor.dtype != torch.float32:
+            raise _READER.refuse(f"{path}:", f"{name} is {tensor.dtype}, expected {torch.float32}")
     try:
-        return Trained(LearnedModel(session.config, weights), weights, updates)
+        return LearnedModel(config, weights)
     except RuntimeError as error:
         raise CorruptFileError(f"{path} does not fit the session's camera and model settings: {error}") from error

@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import BinaryIO, Iterator, Optional
 
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.reading import open_plain
 
 _TRIES = 3
 _PAUSE = 0.1  # s between two tries
+_LONGEST_NAME = 200  # bytes of a lock file that are told
 
 
 def claim(stream: BinaryIO, path: Path) -> None:
@@ -29,13 +31,12 @@ def acquire(path: Path) -> BinaryIO:
     Raises SessionError naming the process that holds it, or the file when it cannot be locked.
     """
     with _named(path):
-        stream = path.open("a+b")
+        stream = open_plain(path, "r+b")
         try:
             if not _lock_patiently(stream):
-                raise SessionError(in_use(path.parent, _name_in(path)))
+                raise SessionError(in_use(path.parent, _name_in(stream)))
             stream.truncate(0)
             stream.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
-            stream.flush()
         except BaseException:
             stream.close()
             raise
@@ -49,11 +50,11 @@ def holder(path: Path) -> Optional[str]:
     """
     with _named(path):
         try:
-            stream = path.open("rb")
+            stream = open_plain(path)
         except (FileNotFoundError, NotADirectoryError):
             return None
         with stream:
-            return None if _lock(stream, fcntl.LOCK_SH) else _name_in(path)
+            return None if _lock(stream, fcntl.LOCK_SH) else _name_in(stream)
 
 
 def in_use(folder: Path, who: str) -> str:
@@ -61,9 +62,9 @@ def in_use(folder: Path, who: str) -> str:
     return f"session {folder} is in use by {who}: end that run, or choose another session/name"
 
 
-def _name_in(path: Path) -> str:
+def _name_in(stream: BinaryIO) -> str:
     # The holder may not have written its name yet.
-    return path.read_bytes().decode("utf-8", "replace").strip() or "another process"
+    return os.pread(stream.fileno(), _LONGEST_NAME, 0).decode("utf-8", "replace").strip() or "another process"
 
 
 def _lock_patiently(stream: BinaryIO) -> bool:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
+from typing import Pattern
 
 from embodied_active_learning.errors import SessionError
 
-_LEGAL = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
+LONGEST_NAME = 64
+_LEGAL = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+_RECORDED = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
 _SHOWN = 80
 
 CONFIG_FILE = "config.yaml"
@@ -17,10 +21,30 @@ SUMMARY_FILE = "summary.yaml"
 
 def check_name(name: str, subject: str = "session/name") -> str:
     """The name, if it is safe as a file name. Raises SessionError that says the rule."""
-    if not isinstance(name, str) or not _LEGAL.fullmatch(name):
+    return _check(name, subject, _LEGAL, "'_' and '-'")
+
+
+def check_recorded_name(name: str, subject: str) -> str:
+    """The name of a session as a file tells it: sessions of before were allowed dots. Not for making paths of.
+
+    Raises SessionError that says the rule.
+    """
+    return _check(name, subject, _RECORDED, "'_', '-' and '.'")
+
+
+def stays_inside(folder: Path, path: Path) -> Path:
+    """The path, if no symbolic link on its way leads out of the folder. Raises SessionError that says where to."""
+    real = os.path.realpath(path)
+    if os.path.commonpath((os.path.realpath(folder), real)) != os.path.realpath(folder):
+        raise SessionError(f"{path} leads out of {folder}, to {real}: put what is meant there in place of the link")
+    return path
+
+
+def _check(name: str, subject: str, legal: Pattern[str], signs: str) -> str:
+    if not isinstance(name, str) or not legal.fullmatch(name):
         raise SessionError(
-            f"{subject} is {str(name)[:_SHOWN]!r}: give 1 to 64 of a-z, 0-9, '_', '-' and '.', beginning with a letter "
-            "or a digit"
+            f"{subject} is {str(name)[:_SHOWN]!r}: give 1 to {LONGEST_NAME} of a-z, 0-9, {signs}, beginning with a "
+            "letter or a digit"
         )
     return name
 
@@ -40,6 +64,11 @@ class SessionPaths:
         self.summary = self.path / SUMMARY_FILE
         self.config = self.path / CONFIG_FILE
         self.lock = self.path / LOCK_FILE
+
+    def check_links(self) -> None:
+        """Raise SessionError when a folder of the session is a link that leads out of it; files are never links."""
+        for part in (self.observations, self.checkpoints, self.fingerprints, self.identification, self.figures):
+            stays_inside(self.path, part)
 
     def table(self, name: str) -> Path:
         """The file of a table: exploration, training or evaluation."""

@@ -6,9 +6,10 @@ at the end of the file, which was never acknowledged and is cut off when the sto
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
-from typing import NamedTuple, Sequence, Tuple
+from typing import NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -69,15 +70,21 @@ class ObservationStore:
         return cls(Path(folder), layout, workspace, writable=True, capacity=capacity)
 
     @classmethod
-    def open_read_only(cls, folder: Path, workspace: Workspace) -> ObservationStore:
+    def open_read_only(
+        cls, folder: Path, workspace: Workspace, image_shape: Optional[Sequence[int]] = None
+    ) -> ObservationStore:
         """What is stored at this moment. Never writes, so a running session can be looked at.
 
-        Raises CorruptFileError for a damaged store, SessionError when there is none.
+        Raises CorruptFileError for a damaged store, SessionError when there is none, ObservationError when its images
+        have another shape than one that is given.
         """
         folder = Path(folder)
-        if not (folder / DATA_FILE).is_file():
+        if not os.path.lexists(folder / DATA_FILE):
             raise SessionError(f"{folder} holds no observations yet: start the exploration")
-        return cls(folder, RecordLayout.load(folder / LAYOUT_FILE), workspace, writable=False)
+        layout = RecordLayout.load(folder / LAYOUT_FILE)
+        if image_shape is not None:
+            _check_shape(folder / LAYOUT_FILE, layout, tuple(image_shape))
+        return cls(folder, layout, workspace, writable=False)
 
     def append(self, index: int, stamp: float, state: Sequence[float], image: np.ndarray) -> bool:
         """Store observation number `index`: stamp in seconds, state (D,) in SI units, image (H, W, 3) uint8.
@@ -200,17 +207,25 @@ def _allocate(layout: RecordLayout, capacity: int) -> Observations:
 def _own_layout(folder: Path, image_shape: Tuple[int, ...]) -> RecordLayout:
     """The layout of a store that is to be written; a new store gets its files here."""
     path, data = folder / LAYOUT_FILE, folder / DATA_FILE
-    if not path.exists() and not data.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        sync_folder(folder.parent)
+    if not os.path.lexists(path) and not os.path.lexists(data):
+        _make_folder(folder)
         RecordLayout(image_shape).save(path)
     layout = RecordLayout.load(path)
+    _check_shape(path, layout, image_shape)
+    return layout
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        sync_folder(folder.parent)
+    except OSError as error:
+        raise SessionError(f"{folder} cannot be created ({error.strerror}): free some disk space") from error
+
+
+def _check_shape(path: Path, layout: RecordLayout, image_shape: Tuple[int, ...]) -> None:
     if layout.image_shape != image_shape:
         raise ObservationError(
             f"{path}: image_shape is {list(layout.image_shape)}, but the camera gives {list(image_shape)}: "
             "set camera/height and camera/width back, or choose another session"
         )
-    if not data.exists():
-        data.touch()
-        sync_folder(folder)
-    return layout

@@ -10,10 +10,13 @@ from typing import Iterator
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.reading import open_plain
 from embodied_active_learning.session import lock
+from embodied_active_learning.session.atomic import sync_folder
 from embodied_active_learning.session.records import RecordLayout
 
 _LOG = logging.getLogger(__name__)
+_REMEDY = "restore the file, or start a new session"
 
 
 class RecordFile:
@@ -22,7 +25,12 @@ class RecordFile:
     def __init__(self, path: Path, layout: RecordLayout, writable: bool) -> None:
         self.path = path
         self.layout = layout
-        self._stream = path.open("r+b" if writable else "rb", buffering=0)
+        try:
+            self._stream = open_plain(path, "r+b" if writable else "rb")
+            if writable:
+                sync_folder(path.parent)  # the file may be new
+        except OSError as error:
+            raise CorruptFileError(f"{path} cannot be opened ({error.strerror}): {_REMEDY}") from error
         if writable:
             try:
                 lock.claim(self._stream, path)
@@ -35,17 +43,14 @@ class RecordFile:
 
         Raises CorruptFileError when one is damaged that can't be a write cut short.
         """
-        descriptor = self._stream.fileno()
-        size = os.fstat(descriptor).st_size
+        size = os.fstat(self._stream.fileno()).st_size
         for index in range(start, size // self.layout.size):
             offset = index * self.layout.size
-            record = self.layout.unpack(os.pread(descriptor, self.layout.size, offset), index)
+            record = self.layout.unpack(self._bytes_at(offset), index)
             if record is not None:
                 yield record
             elif offset + self.layout.size < size:
-                raise CorruptFileError(
-                    f"{self.path}: record {index} is damaged (crc32): restore the file, or start a new session"
-                )
+                raise CorruptFileError(f"{self.path}: record {index} is damaged (crc32): {_REMEDY}")
 
     def cut_after(self, count: int) -> None:
         """Cut off what follows the first `count` records: a write that was cut short, so never acknowledged."""
@@ -53,8 +58,11 @@ class RecordFile:
         torn = os.fstat(descriptor).st_size - count * self.layout.size
         if torn:
             _LOG.warning("%s: cut off %d bytes of record %d, which was not complete", self.path, torn, count)
-            os.ftruncate(descriptor, count * self.layout.size)
-            os.fsync(descriptor)
+            try:
+                os.ftruncate(descriptor, count * self.layout.size)
+                os.fsync(descriptor)
+            except OSError as error:
+                raise SessionError(f"{self.path} cannot be written ({error.strerror}): see to the disk") from error
 
     def write(self, index: int, raw: bytes) -> None:
         """Bring record number `index` to the disk. Raises SessionError when the disk fails; then write it again."""
@@ -70,6 +78,13 @@ class RecordFile:
                 f"{self.path}: record {index} could not be stored ({error.strerror}): free some disk space and hand "
                 "the observation over again"
             ) from error
+
+    def _bytes_at(self, offset: int) -> bytes:
+        """One record's bytes, fewer where the file ends."""
+        try:
+            return os.pread(self._stream.fileno(), self.layout.size, offset)
+        except OSError as error:
+            raise CorruptFileError(f"{self.path} cannot be read ({error.strerror}): {_REMEDY}") from error
 
     def close(self) -> None:
         """Close the file and give its lock back."""

@@ -7,17 +7,20 @@ import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Dict, Optional, Tuple
+from typing import Any, Optional, Tuple
 
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.reading import FileReader, shown
 from embodied_active_learning.session.atomic import write_text
 from embodied_active_learning.workspace import STATE_NAMES
 
 FORMAT = "embodied_active_learning/observations"
 VERSION = 1
 _CHECKSUM_BYTES = 4
+_LARGEST = 4096  # px, as in the configuration
+_READER = FileReader(CorruptFileError, "restore the file, or choose another session", limit=2**16)
 
 
 @dataclass(frozen=True)
@@ -74,39 +77,24 @@ class RecordLayout:
     @classmethod
     def load(cls, path: Path) -> RecordLayout:
         """Read a layout. Raises CorruptFileError naming the file, the field and what was expected."""
-        content = _read_json(path)
-        _expect(path, content, "format", FORMAT)
-        _expect(path, content, "version", VERSION)
-        shape, names = content.get("image_shape"), content.get("state_names")
-        if not (isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)):
-            raise CorruptFileError(f"{path}: image_shape is {shape!r}, expected [height, width, 3]: {_REMEDY}")
-        if not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
-            raise CorruptFileError(f"{path}: state_names is {names!r}, expected a list of names: {_REMEDY}")
-        layout = cls(image_shape=tuple(shape), state_names=tuple(names))
-        _expect(path, content, "record_bytes", layout.size)
+        content = _READER.read_json(path)
+        _READER.expect(path, content, {"format": FORMAT, "version": VERSION})
+        shape = content.get("image_shape")
+        if not _is_image_shape(shape):
+            raise _READER.refuse(
+                f"{path}:", f"image_shape is {shown(shape)}, expected [height, width, 3] of at most {_LARGEST} px"
+            )
+        _READER.expect(path, content, {"state_names": list(STATE_NAMES)})
+        layout = cls(image_shape=tuple(shape))
+        _READER.expect(path, content, {"record_bytes": layout.size})
         return layout
 
 
-_REMEDY = "restore the file, or choose another session"
+def _is_image_shape(shape: Any) -> bool:
+    if not (isinstance(shape, list) and len(shape) == 3 and all(type(size) is int for size in shape)):
+        return False
+    return shape[2] == 3 and all(0 < size <= _LARGEST for size in shape)
 
 
 def _checksum(raw: bytes) -> int:
     return zlib.crc32(memoryview(raw)[:-_CHECKSUM_BYTES])
-
-
-def _read_json(path: Path) -> Dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise CorruptFileError(f"{path} is missing: {_REMEDY}") from error
-    except ValueError as error:
-        raise CorruptFileError(f"{path} is not JSON ({error}): {_REMEDY}") from error
-    if not isinstance(content, dict):
-        raise CorruptFileError(f"{path} is a {type(content).__name__}, expected fields: {_REMEDY}")
-    return content
-
-
-def _expect(path: Path, content: Dict[str, Any], field: str, expected: Any) -> None:
-    found = content.get(field)
-    if found != expected:
-        raise CorruptFileError(f"{path}: {field} is {found!r}, expected {expected!r}: {_REMEDY}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import BinaryIO, Dict, List, Optional
 
@@ -17,12 +18,20 @@ from embodied_active_learning.session.description import (
     read_description,
     write_description,
 )
-from embodied_active_learning.session.disk import check_space
-from embodied_active_learning.session.names import CONFIG_FILE, LOCK_FILE, SUMMARY_FILE, SessionPaths, check_name
+from embodied_active_learning.session.disk import bytes_below, check_space
+from embodied_active_learning.session.names import (
+    CONFIG_FILE,
+    LOCK_FILE,
+    SUMMARY_FILE,
+    SessionPaths,
+    check_name,
+    stays_inside,
+)
 from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.tables import COLUMNS, Table, read_table
 
 _LARGEST_HINT = 4096
+_MOST_LISTED = 20  # sessions that a message names
 
 
 class Session:
@@ -45,7 +54,7 @@ class Session:
         try:
             _check_folder(path, config)  # again, now that nobody else can change it
             remove_leftovers(path)
-            (path / SUMMARY_FILE).unlink(missing_ok=True)  # a run that goes on is not finished
+            _remove_summary(path / SUMMARY_FILE)  # a run that goes on is not finished
             write_description(path / CONFIG_FILE, config)
         except BaseException:
             held.close()
@@ -54,7 +63,11 @@ class Session:
 
     @classmethod
     def open_read_only(cls, path: Path) -> Session:
-        """A session to look at, also while it runs. Raises CorruptFileError when the folder is none."""
+        """A session to look at, also while it runs. Raises CorruptFileError when the folder is none.
+
+        Raises SessionError when a part of it is a link that leads out of it.
+        """
+        SessionPaths(path).check_links()
         return cls(Path(path), read_description(Path(path) / CONFIG_FILE))
 
     @property
@@ -69,14 +82,12 @@ class Session:
 
     def open_observations(self) -> ObservationStore:
         """The observation store, for writing when the session is."""
-        workspace = self.config.workspace.box()
+        workspace, camera = self.config.workspace.box(), self.config.camera
+        shape = (camera.height, camera.width, 3)
         if not self.writable:
-            return ObservationStore.open_read_only(self.paths.observations, workspace)
-        camera = self.config.camera
+            return ObservationStore.open_read_only(self.paths.observations, workspace, shape)
         capacity = min(self.config.exploration.steps, _LARGEST_HINT)
-        return ObservationStore.open_for_writing(
-            self.paths.observations, workspace, (camera.height, camera.width, 3), capacity
-        )
+        return ObservationStore.open_for_writing(self.paths.observations, workspace, shape, capacity)
 
     def open_table(self, name: str) -> Table:
         """A table to append to: exploration, training or evaluation.
@@ -103,8 +114,30 @@ class Session:
 
 
 def session_path(config: Config) -> Path:
-    """The folder of the configured session. Raises SessionError for a name that is not allowed."""
-    return Path(config.session.root).expanduser() / check_name(config.session.name)
+    """The folder of the configured session. Raises SessionError for a name or a root that is not allowed."""
+    return session_root(config) / check_name(config.session.name)
+
+
+def session_root(config: Config) -> Path:
+    """The folder that holds the sessions, absolute. Raises SessionError for one that cannot be."""
+    root = os.path.expanduser(config.session.root)
+    if root.startswith("~") or "\0" in root:
+        raise SessionError(f"session/root is {config.session.root!r}, and no such folder can be: give another one")
+    return Path(os.path.abspath(root))
+
+
+def find_session(root: Path, name: str, subject: str = "session") -> Path:
+    """The folder of a stored session that was asked for by name.
+
+    Raises SessionError for a name that is not allowed or that leads out of root through a link, and for one that there
+    is not, with those that there are; subject says what the name was given as.
+    """
+    path = root / check_name(name, subject)
+    stays_inside(root, path)
+    if not path.is_dir():
+        known = ", ".join(found.name for found in list_sessions(root)[:_MOST_LISTED]) or "none"
+        raise SessionError(f"{subject} is {name!r}, and there is none of that name in {root}; there are: {known}")
+    return path
 
 
 def check_session(config: Config) -> Path:
@@ -114,32 +147,34 @@ def check_session(config: Config) -> Path:
     session/resume), does not exist (with it), differs in what its data depends on, or when the disk is too small.
     """
     path = session_path(config)
-    _check_folder(path, config)
-    who = lock.holder(path / LOCK_FILE)
-    if who is not None:
-        raise SessionError(lock.in_use(path, who))
-    stored = sum(entry.stat().st_size for entry in path.glob("**/*") if entry.is_file())
-    check_space(path, config, stored)
+    try:
+        _check_folder(path, config)
+        who = lock.holder(path / LOCK_FILE)
+        if who is not None:
+            raise SessionError(lock.in_use(path, who))
+        check_space(path, config, bytes_below(path))
+    except OSError as error:
+        raise SessionError(f"{path} cannot be used ({error.strerror}): choose another session/root") from error
     return path
 
 
 def list_sessions(root: Path) -> List[Path]:
     """The folders below root that are sessions, by name."""
-    root = Path(root).expanduser()
-    return sorted(path.parent for path in root.glob(f"*/{CONFIG_FILE}") if is_description(path))
+    return sorted(path.parent for path in Path(root).glob(f"*/{CONFIG_FILE}") if is_description(path))
 
 
 def _check_folder(path: Path, config: Config) -> None:
     if not _is_new(path):
         _check_existing(path, config)
     elif config.session.resume:
-        known = ", ".join(found.name for found in list_sessions(path.parent)) or "none"
+        known = ", ".join(found.name for found in list_sessions(path.parent)[:_MOST_LISTED]) or "none"
         raise SessionError(f"there is no session {path} to resume; in that folder there are: {known}")
 
 
 def _check_existing(path: Path, config: Config) -> None:
     if path.is_symlink() or not (path / CONFIG_FILE).is_file():
         raise SessionError(f"{path} exists but is no session of this package: choose another session/name")
+    SessionPaths(path).check_links()
     stored = read_description(path / CONFIG_FILE)
     if not config.session.resume:
         raise SessionError(f"session {path} exists: choose another session/name, or set session/resume to continue it")
@@ -153,6 +188,13 @@ def _is_new(path: Path) -> bool:
     if not path.is_dir() or path.is_symlink():
         return not (path.exists() or path.is_symlink())
     return all(entry.name == LOCK_FILE or is_leftover(entry.name) for entry in path.iterdir())
+
+
+def _remove_summary(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise SessionError(f"{path} cannot be removed ({error.strerror}), which says that the run is over") from error
 
 
 def _make_folder(path: Path) -> None:

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any, Dict, Optional
 
 import numpy as np
-import yaml
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.session.atomic import write_text
+from embodied_active_learning.reading import FileReader, plain_types
+from embodied_active_learning.session.sealed_yaml import remove_seal, write_sealed
 from embodied_active_learning.session.session import Session
+
+_READER = FileReader(CorruptFileError, "the run did not finish, or its summary was damaged since; resume the run")
 
 
 @dataclass(frozen=True)
@@ -48,23 +50,14 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
 
 def write_summary(path: Path, summary: Summary) -> None:
     """Write a summary atomically."""
-    write_text(Path(path), yaml.safe_dump(dataclasses.asdict(summary), sort_keys=False))
+    write_sealed(Path(path), dataclasses.asdict(summary))
 
 
 def read_summary(path: Path) -> Summary:
     """Read a summary. Raises CorruptFileError naming the file and the field."""
     path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CorruptFileError(f"{path} cannot be read ({error.strerror}): the run did not finish") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise CorruptFileError(f"{path} is not plain YAML ({error}): run again") from error
-    names = [field.name for field in dataclasses.fields(Summary)]
-    if not isinstance(content, dict) or sorted(content) != sorted(names):
-        raise CorruptFileError(f"{path}: its fields are {list(content or ())}, expected {names}: run again")
-    if content["finished"] not in (True, False):
-        raise CorruptFileError(f"{path}: finished is {content['finished']!r}, expected true or false: run again")
+    content = remove_seal(path, _READER.read_yaml(path), _READER)
+    _READER.expect_types(path, content, plain_types(Summary))
     return Summary(**content)
 
 

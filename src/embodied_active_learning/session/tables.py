@@ -7,14 +7,19 @@ import dataclasses
 import errno
 import io
 import os
+import re
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.reading import FileReader, open_plain, shown
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import write_bytes
+
+_NUMBER = re.compile(r"-?([0-9]+(\.[0-9]+)?(e[+-]?[0-9]+)?|inf|nan)")  # as Python writes them
+_READER = FileReader(CorruptFileError, "choose another session", limit=2**28)
 
 # fmt: off
 COLUMNS: Dict[str, Tuple[str, ...]] = {
@@ -53,7 +58,8 @@ class Table:
 
     def truncate_after(self, column: str, value: float) -> None:
         """Drop the rows whose column is larger than value: they came after the point a run goes on from."""
-        kept = [row for row in _rows(self.path, self.columns) if _number(row[self.columns.index(column)]) <= value]
+        rows = _rows(self.path, _READER.read_bytes(self.path), self.columns)
+        kept = [row for row in rows if _number(row[self.columns.index(column)]) <= value]
         self.close()
         write_bytes(self.path, "".join(",".join(row) + "\n" for row in [self.columns, *kept]).encode("utf-8"))
         self._open()
@@ -70,17 +76,18 @@ class Table:
 
     def _open(self) -> None:
         """Open the file behind its last whole row."""
-        self.path.touch()
-        self._stream = self.path.open("r+b", buffering=0)
+        try:
+            self._stream = open_plain(self.path, "r+b")
+        except OSError as error:
+            raise SessionError(f"{self.path} cannot be written ({error.strerror}): see to the disk") from error
         try:
             lock.claim(self._stream, self.path)
-            content = self._stream.read()
+            content = _READER.read_bytes(self.path)
             whole = content.rfind(b"\n") + 1
-            self._stream.truncate(whole)
-            self._stream.seek(whole)
-            if whole:
-                _rows(self.path, self.columns)
-            else:
+            _check_header(self.path, content, self.columns)
+            _rows(self.path, content, self.columns)
+            self._cut(whole)
+            if not whole:
                 self._write(",".join(self.columns))
         except BaseException:
             self.close()
@@ -92,10 +99,16 @@ class Table:
             if self._stream.write(content) < len(content):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
-            # Half a row would be glued to the next one.
-            self._stream.truncate(end)
-            self._stream.seek(end)
+            self._cut(end)  # half a row would be glued to the next one
             raise SessionError(f"{self.path} cannot be written ({error.strerror}): free some disk space") from error
+
+    def _cut(self, size: int) -> None:
+        """Go on behind the first bytes, and drop the others."""
+        try:
+            self._stream.truncate(size)
+        except OSError as error:
+            raise SessionError(f"{self.path} cannot be written ({error.strerror}): see to the disk") from error
+        self._stream.seek(size)
 
 
 def read_table(path: Path, columns: Sequence[str]) -> Dict[str, np.ndarray]:
@@ -104,22 +117,35 @@ def read_table(path: Path, columns: Sequence[str]) -> Dict[str, np.ndarray]:
     Raises CorruptFileError naming the file and the line.
     """
     path = Path(path)
-    rows = _rows(path, columns) if path.exists() else []
+    rows = _rows(path, _READER.read_bytes(path), columns) if os.path.lexists(path) else []
     values = np.array([[_number(text) for text in row] for row in rows], dtype=np.float64).reshape(-1, len(columns))
     return {name: values[:, index] for index, name in enumerate(columns)}
 
 
-def _rows(path: Path, columns: Sequence[str]) -> List[List[str]]:
+def _check_header(path: Path, content: bytes, columns: Sequence[str]) -> None:
+    """Refuse what does not begin as the table does: a file of somebody else is not cut off and written on."""
+    header = (",".join(columns) + "\n").encode("utf-8")
+    if content[: len(header)] != header[: len(content)]:
+        found = content[: len(header)].decode("utf-8", "replace").split("\n")[0].split(",")
+        raise _READER.refuse(f"{path}:", f"the header is {shown(found)}, expected {list(columns)}")
+
+
+def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]:
     """The texts of every whole row after the header."""
-    text = path.read_bytes().decode("utf-8", "replace")
-    lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
+    text = content.decode("utf-8", "replace")
+    try:
+        lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
+    except csv.Error as error:
+        raise _READER.refuse(path, f"is no table ({error})") from error
     if not lines:
         return []
     if tuple(lines[0]) != tuple(columns):
-        raise CorruptFileError(f"{path}: the header is {lines[0]}, expected {list(columns)}: choose another session")
+        raise _READER.refuse(f"{path}:", f"the header is {shown(lines[0])}, expected {list(columns)}")
     for number, line in enumerate(lines[1:], start=2):
         if len(line) != len(columns) or not all(_is_number(value) for value in line):
-            raise CorruptFileError(f"{path}: line {number} is {line}, expected {len(columns)} numbers: delete it")
+            raise CorruptFileError(
+                f"{path}: line {number} is {shown(line)}, expected {len(columns)} numbers: delete it"
+            )
     return lines[1:]
 
 
@@ -135,8 +161,4 @@ def _number(text: str) -> float:
 
 
 def _is_number(text: str) -> bool:
-    try:
-        _number(text)
-    except ValueError:
-        return False
-    return True
+    return not text or _NUMBER.fullmatch(text) is not None

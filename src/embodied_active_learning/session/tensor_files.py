@@ -7,8 +7,9 @@ from typing import Any, Dict, Tuple
 
 import torch
 
-from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.session.array_files import read_arrays, write_arrays
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.reading import FileReader
+from embodied_active_learning.session.array_files import READER, read_arrays, write_arrays
 
 Tensors = Dict[str, torch.Tensor]
 
@@ -24,11 +25,11 @@ def write_tensors(path: Path, kind: str, tensors: Tensors, facts: Dict[str, Any]
     write_arrays(path, kind, {name: tensor.numpy() for name, tensor in copies.items()}, facts)
 
 
-def read_tensors(path: Path, kind: str) -> Tuple[Tensors, Dict[str, Any]]:
-    """Read what write_tensors wrote. Raises CorruptFileError naming the file, the field and the remedy."""
-    arrays, facts = read_arrays(path, kind)
+def read_tensors(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Tensors, Dict[str, Any]]:
+    """Read what write_tensors wrote, as read_arrays does. Raises the reader's error, for what is not finite too."""
+    arrays, facts = read_arrays(path, kind, reader)
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
-    _refuse_not_finite(tensors, CorruptFileError, str(path))
+    _refuse_not_finite(tensors, reader.error, str(path))
     return tensors, facts
 
 

@@ -10,8 +10,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.reading import FileReader, shown
 from embodied_active_learning.simulation.resources import locate
 
+_URDF_READER = FileReader(WorldError, "give the URDF of an object", limit=2**20, follow=True)
+_MESH_READER = FileReader(WorldError, "give an OBJ mesh", limit=2**28, follow=True)
 Vector = Tuple[float, ...]
 
 
@@ -71,12 +74,11 @@ def rotation(rpy: Vector) -> np.ndarray:
 
 
 def _only_visual(urdf: Path) -> ET.Element:
+    content = _URDF_READER.read_bytes(urdf)
     try:
         # A world's models are as trusted as the world file that names them.
-        robot = ET.parse(urdf).getroot()  # noqa: S314
-    except OSError as error:
-        raise WorldError(f"URDF {urdf} cannot be read: {error.strerror}") from error
-    except ET.ParseError as error:
+        robot = ET.fromstring(content)  # noqa: S314
+    except (ET.ParseError, LookupError, ValueError) as error:  # the latter two for encodings that it does not know
         raise WorldError(f"URDF {urdf} is not XML: {error}") from error
     visuals = list(robot.iter("visual"))
     if len(visuals) != 1:
@@ -89,10 +91,11 @@ def _vertices(urdf: Path, mesh: Path) -> np.ndarray:
     if mesh.suffix.lower() != ".obj":
         raise WorldError(f"{urdf}: mesh {mesh.name} is not an OBJ file")
     try:
-        lines = mesh.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = _MESH_READER.read_bytes(mesh).decode("utf-8", "replace").splitlines()
+    except WorldError as error:
+        raise WorldError(f"{urdf}: mesh {error}") from error
+    try:
         vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64)
-    except OSError as error:
-        raise WorldError(f"{urdf}: mesh {mesh} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise WorldError(f"{urdf}: mesh {mesh} is damaged: {error}") from error
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
@@ -117,5 +120,5 @@ def _vector(urdf: Path, text: str, size: int) -> Vector:
     except ValueError:
         numbers = ()
     if len(numbers) != size or not np.isfinite(numbers).all():
-        raise WorldError(f"{urdf}: {text!r} is not {size} numbers")
+        raise WorldError(f"{urdf}: {shown(text)} is not {size} numbers")
     return numbers

@@ -38,7 +38,7 @@ def locate(address: str, folder: Path) -> Path:
     if address.startswith(_PACKAGE_SCHEME):
         package, _, path = address[len(_PACKAGE_SCHEME) :].partition("/")
         return package_folder(package) / path
-    return folder / Path(address).expanduser()
+    return folder / os.path.expanduser(address)
 
 
 def _candidates(package: str) -> Iterator[Path]:

@@ -5,22 +5,13 @@ from __future__ import annotations
 import difflib
 import math
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, Optional, Tuple
-
-import yaml
+from typing import Any, Iterable, Iterator, Optional, Tuple
 
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.reading import FileReader, shown
 
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """Plain data only, and no key twice: YAML would silently keep the last one."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Dict[Any, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"{key!r} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
+_LONGEST_KEY = 80  # characters of an unknown key that are looked at and told
+_READER = FileReader(WorldError, "give a world as those in worlds/ are", follow=True)
 
 
 class Section:
@@ -29,7 +20,7 @@ class Section:
     def __init__(self, values: Any, where: str, known: Iterable[str] = ()) -> None:
         """Keys other than the known ones are refused; without known keys every name is legal."""
         if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-            raise WorldError(f"{where} is {values!r}: give names and values")
+            raise WorldError(f"{where} is {shown(values)}: give names and values")
         self.where = where
         self._values = values
         self._refuse_unknown(tuple(known))
@@ -37,14 +28,7 @@ class Section:
     @classmethod
     def read(cls, path: Path, known: Iterable[str]) -> Section:
         """The top level of a YAML file."""
-        try:
-            loader = _UniqueKeyLoader(path.read_text(encoding="utf-8"))
-            values = loader.get_single_data()
-        except OSError as error:
-            raise WorldError(f"{path} cannot be read: {error.strerror}") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise WorldError(f"{path} is not plain YAML: {error}") from error
-        return cls(values, str(path), known)
+        return cls(_READER.read_yaml(path), str(path), known)
 
     def __contains__(self, key: str) -> bool:
         return key in self._values
@@ -60,7 +44,7 @@ class Section:
         """A text that is not empty."""
         value = self._get(key, default)
         if not isinstance(value, str) or not value:
-            raise WorldError(f"{self._place(key)} is {value!r}: give a text")
+            raise WorldError(f"{self._place(key)} is {shown(value)}: give a text")
         return value
 
     def number(self, key: str, default: float, low: float = -math.inf, high: float = math.inf) -> float:
@@ -78,7 +62,7 @@ class Section:
         """A list of finite numbers in [low, high], as long as one of the counts."""
         value, place = self._get(key, default), self._place(key)
         if not isinstance(value, (list, tuple)) or len(value) not in counts:
-            raise WorldError(f"{place} is {value!r}: give {' or '.join(map(str, counts))} numbers")
+            raise WorldError(f"{place} is {shown(value)}: give {' or '.join(map(str, counts))} numbers")
         return tuple(self._number(place, part, low, high) for part in value)
 
     def _get(self, key: str, default: Any) -> Any:
@@ -93,14 +77,14 @@ class Section:
     def _refuse_unknown(self, known: Tuple[str, ...]) -> None:
         for key in self._values:
             if known and key not in known:
-                nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
+                nearest = difflib.get_close_matches(key[:_LONGEST_KEY], known, n=1, cutoff=0.4)
                 hint = f"did you mean {nearest[0]}?" if nearest else f"known: {', '.join(known)}"
-                raise WorldError(f"unknown key {self._place(key)}: {hint}")
+                raise WorldError(f"unknown key {self._place(key[:_LONGEST_KEY])}: {hint}")
 
     @staticmethod
     def _number(place: str, value: Any, low: float, high: float) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise WorldError(f"{place} is {value!r}: give a finite number")
+            raise WorldError(f"{place} is {shown(value)}: give a finite number")
         if not low <= value <= high:
-            raise WorldError(f"{place} is {value!r}: legal is {low:g} to {high:g}")
+            raise WorldError(f"{place} is {shown(value)}: legal is {low:g} to {high:g}")
         return float(value)

@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.reading import FileReader
 from embodied_active_learning.simulation.world import Table
 
+_READER = FileReader(WorldError, "give a PNG or JPEG file", limit=2**28, follow=True)
 _FLOOR = (96, 94, 92)  # grey levels beyond the table's edge
 
 
@@ -50,7 +52,11 @@ def _texture(table: Table) -> np.ndarray:
     """(H, W, 3) uint8 RGB of the table top."""
     if table.texture is None:
         return np.full((2, 2, 3), np.rint(255.0 * np.asarray(table.colour)), dtype=np.uint8)
-    image = cv2.imread(str(table.texture), cv2.IMREAD_COLOR)
+    content = np.frombuffer(_READER.read_bytes(table.texture), np.uint8)
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    except cv2.error:  # it is empty, or more pixels than OpenCV takes
+        image = None
     if image is None:
-        raise WorldError(f"texture {table.texture} is not an image: give a PNG or JPEG file")
+        raise _READER.refuse(f"texture {table.texture}", "is not an image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Optional, Tuple
@@ -102,7 +103,7 @@ def load_world(name_or_path: str, workspace: Workspace) -> World:
 
 def find_world(name_or_path: str) -> Path:
     """The file of a shipped world by name, or the path itself. Raises WorldError with the nearest known name."""
-    path = Path(name_or_path).expanduser()
+    path = Path(os.path.expanduser(name_or_path))
     if path.suffix in (".yaml", ".yml"):
         return path.absolute()
     known = world_names()
@@ -135,7 +136,7 @@ def _table(keys: Section, folder: Path, workspace: Workspace) -> Table:
     centre = tuple(float(value) for value in workspace.centre[:2])
     size = tuple(float(2.0 * (value + _TABLE_MARGIN)) for value in workspace.scale[:2])
     texture = locate(keys.text("texture"), folder) if "texture" in keys else None
-    if texture is not None and not texture.is_file():
+    if texture is not None and not os.path.exists(texture):
         raise WorldError(f"{keys.where}/texture: there is no file {texture}")
     return Table(
         centre=keys.numbers("centre", (2,), default=centre),
