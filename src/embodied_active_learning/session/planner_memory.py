@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Dict, Optional, Tuple
@@ -9,12 +10,14 @@ from typing import Dict, Optional, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.reading import FileReader
 from embodied_active_learning.session.array_files import read_arrays, write_arrays
 
 _KIND = "planner"
 _RUN = "run/"
 _OWN = ("state", "velocity", "arm")
 _REMEDY = "delete it; the planner then goes on from the stored observations, with other random draws"
+_READER = FileReader(CorruptFileError, _REMEDY, limit=2**30)
 
 
 @dataclass(frozen=True)
@@ -38,9 +41,9 @@ def save_memory(path: Path, memory: PlannerMemory) -> None:
 
 def load_memory(path: Path) -> Optional[PlannerMemory]:
     """The memory that was written last; None when there is none. Raises CorruptFileError naming file and field."""
-    if not path.exists():
+    if not os.path.lexists(path):
         return None
-    arrays, facts = read_arrays(path, _KIND)
+    arrays, facts = read_arrays(path, _KIND, _READER)
     for name, shape in (("state", (3,)), ("velocity", (3,)), ("arm", None)):
         array = arrays.get(name)
         legal = array is not None and array.dtype == np.float64 and np.all(np.isfinite(array))

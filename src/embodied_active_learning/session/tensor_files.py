@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Dict, Tuple
 
+import numpy as np
 import torch
 
 from embodied_active_learning.errors import SessionError
@@ -28,6 +29,9 @@ def write_tensors(path: Path, kind: str, tensors: Tensors, facts: Dict[str, Any]
 def read_tensors(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Tensors, Dict[str, Any]]:
     """Read what write_tensors wrote, as read_arrays does. Raises the reader's error, for what is not finite too."""
     arrays, facts = read_arrays(path, kind, reader)
+    for name, array in arrays.items():
+        if array.dtype == np.uint64:  # torch as of Noetic has no such type
+            raise reader.refuse(f"{path}:", f"{name} is {array.dtype}, which no tensor of ours is")
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     _refuse_not_finite(tensors, reader.error, str(path))
     return tensors, facts
