@@ -182,7 +182,8 @@ def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 2}, "version is 2, expected 1"),
+        ({"version": 3}, "version is 3, expected 2"),
+        ({}, "sha256 is missing, so the end of the file was lost"),
         ({"format": None}, "format is None, expected"),
         ({"config": {"camera": {"width": -3}}}, "camera/width is -3"),
         ({"config": {"camera": {"widht": 3}}}, "did you mean camera/width"),
@@ -194,10 +195,27 @@ def test_description_that_is_not_understood_is_refused_by_file_and_field(tmp_pat
     path = tmp_path / "a" / "config.yaml"
     content = yaml.safe_load(path.read_text())
     del content["sha256"]
-    path.write_text(yaml.safe_dump({**content, **change}))
+    path.write_text(yaml.safe_dump({**content, **({"version": 1} if "config" in change else {}), **change}))
     with pytest.raises(CorruptFileError, match=f"config.yaml: .*{message}"):
         Session.open_read_only(tmp_path / "a")
     assert list_sessions(tmp_path) == []
+
+
+def test_description_of_before_there_was_a_checksum_is_still_read(tmp_path):
+    create(tmp_path)
+    path = tmp_path / "a" / "config.yaml"
+    content = {**yaml.safe_load(path.read_text()), "version": 1}
+    del content["sha256"]
+    path.write_text(yaml.safe_dump(content))
+    assert Session.open_read_only(tmp_path / "a").config == make_config(tmp_path)
+
+
+def test_setting_that_was_changed_in_a_description_is_noticed(tmp_path):
+    create(tmp_path)
+    path = tmp_path / "a" / "config.yaml"
+    path.write_text(path.read_text().replace("seed: 0", "seed: 1"))
+    with pytest.raises(CorruptFileError, match=r"config.yaml: sha256 does not fit the rest"):
+        Session.open_read_only(tmp_path / "a")
 
 
 HOLDER = """

@@ -25,7 +25,15 @@ LARGEST_YAML = 2**18
 _DEEPEST = 32  # levels of YAML or JSON; more would only serve to exhaust the interpreter's stack
 _LONGEST_INTEGER = 64  # characters; longer ones fit no setting, and take ever longer to convert
 _SHOWN = 200  # characters of a value in a message
-_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", type(None): "null"}
+_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    list: "a list",
+    dict: "fields",
+    type(None): "null",
+}
 _KINDS = (
     (stat.S_ISDIR, "it is a folder"),
     (stat.S_ISLNK, "it is a symbolic link"),
@@ -240,8 +248,10 @@ def _error(complaint: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:
 
 def _in_words(error: yaml.YAMLError) -> str:
     """What is wrong, in one line."""
-    problem, mark = getattr(error, "problem", None), getattr(error, "problem_mark", None)
-    return f"line {mark.line + 1}: {problem}" if problem and mark else " ".join(str(error).split())
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return " ".join(str(error).split())
+    return f"line {mark.line + 1}: {', '.join(part for part in (error.context, error.problem) if part)}"
 
 
 def _refuse_special(path: Path, follow: bool) -> None:

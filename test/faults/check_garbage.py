@@ -149,7 +149,7 @@ class GarbageTest(unittest.TestCase):
     @REASONABLE
     def test_names_that_are_none_lead_nowhere(self, name, sessions, images, replay):
         before = self.files_around_the_root()
-        self.check_refused(self.identify(name, sessions, images, replay))
+        self.check_refused(self.identify(name, sessions, images, replay, False))
         self.assertEqual(self.files_around_the_root(), before)
 
     @staticmethod

@@ -269,7 +269,7 @@ def _model(found: FingerprintSet) -> LearnedModel:
     except RuntimeError as error:
         raise CorruptFileError(
             f"the model of session {found.session}'s fingerprints does not fit the session's camera and model settings "
-            f"({error}): call /fingerprint again"
+            f"({' '.join(str(error).split())}): call /fingerprint again"
         ) from error
 
 

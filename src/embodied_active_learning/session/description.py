@@ -10,10 +10,10 @@ from embodied_active_learning import __version__
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.reading import FileReader
-from embodied_active_learning.session.sealed_yaml import remove_seal, write_sealed
+from embodied_active_learning.session.sealed_yaml import check_version, remove_seal, write_sealed
 
 FORMAT = "embodied_active_learning/session"
-VERSION = 1
+VERSION = 2  # since it has a checksum
 
 _READER = FileReader(CorruptFileError, "restore it, or choose another session")
 
@@ -42,7 +42,8 @@ def write_description(path: Path, config: Config) -> None:
 def read_description(path: Path) -> Config:
     """The configuration of a run. Raises CorruptFileError naming the file and the field."""
     content = _READER.read_yaml(path)
-    _READER.expect(path, content, {"format": FORMAT, "version": VERSION})
+    _READER.expect(path, content, {"format": FORMAT})
+    check_version(path, content, VERSION, _READER)
     content = remove_seal(path, content, _READER)
     try:
         return Config.from_dict(content.get("config"))

@@ -19,11 +19,11 @@ from embodied_active_learning.objects.identification import Decision, Identifica
 from embodied_active_learning.reading import LARGEST_YAML, FileReader, plain_types
 from embodied_active_learning.session.atomic import remove_leftovers, write_text
 from embodied_active_learning.session.names import SessionPaths, check_name, stays_inside
-from embodied_active_learning.session.sealed_yaml import remove_seal, sealed_text
+from embodied_active_learning.session.sealed_yaml import check_version, remove_seal, sealed_text
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/decisions"
-VERSION = 1
+VERSION = 2  # since it has a checksum
 DECISIONS_FILE = "decisions.yaml"
 TABLE_FILE = "decisions.csv"
 BELIEFS_FILE = "beliefs.safetensors"
@@ -91,7 +91,8 @@ def load_identification(session_path: Path, name: str) -> Identified:
     if not os.path.lexists(path):
         raise SessionError(f"{path} is missing: there is no identification of that name, or it did not finish")
     content = _READER.read_yaml(path)
-    _READER.expect(path, content, {"format": FORMAT, "version": VERSION, "name": name})
+    _READER.expect(path, content, {"format": FORMAT, "name": name})
+    check_version(path, content, VERSION, _READER)
     content = remove_seal(path, content, _READER)
     _READER.expect_types(path, content, _TYPES)
     decisions = tuple(_decision(path, index, row) for index, row in enumerate(content["decisions"]))

@@ -55,4 +55,5 @@ def _model(path: Path, config: Config, weights: Dict[str, torch.Tensor]) -> Lear
     try:
         return LearnedModel(config, weights)
     except RuntimeError as error:
-        raise CorruptFileError(f"{path} does not fit the session's camera and model settings: {error}") from error
+        reason = " ".join(str(error).split())
+        raise _READER.refuse(path, f"does not fit the session's camera and model settings ({reason})") from error

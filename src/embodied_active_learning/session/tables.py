@@ -84,7 +84,6 @@ class Table:
             lock.claim(self._stream, self.path)
             content = _READER.read_bytes(self.path)
             whole = content.rfind(b"\n") + 1
-            _check_header(self.path, content, self.columns)
             _rows(self.path, content, self.columns)
             self._cut(whole)
             if not whole:
@@ -132,6 +131,7 @@ def _check_header(path: Path, content: bytes, columns: Sequence[str]) -> None:
 
 def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]:
     """The texts of every whole row after the header."""
+    _check_header(path, content, columns)
     text = content.decode("utf-8", "replace")
     try:
         lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
@@ -139,8 +139,6 @@ def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]
         raise _READER.refuse(path, f"is no table ({error})") from error
     if not lines:
         return []
-    if tuple(lines[0]) != tuple(columns):
-        raise _READER.refuse(f"{path}:", f"the header is {shown(lines[0])}, expected {list(columns)}")
     for number, line in enumerate(lines[1:], start=2):
         if len(line) != len(columns) or not all(_is_number(value) for value in line):
             raise CorruptFileError(

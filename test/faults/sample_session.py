@@ -1,0 +1,210 @@
+"""A small session with one of every file that the package writes, and beside it one of every file that people write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Callable, Dict, NamedTuple, Type
+
+import cv2
+import numpy as np
+import torch
+import yaml
+
+from embodied_active_learning.config import Config, load_profile
+from embodied_active_learning.errors import ConfigError, CorruptFileError, EmbodiedActiveLearningError, WorldError
+from embodied_active_learning.exploration_run import ExplorationRun
+from embodied_active_learning.model.checkpoint import NETWORK
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
+from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
+from embodied_active_learning.session.identifications import (
+    load_beliefs,
+    load_identification,
+    load_trace,
+    save_identification,
+)
+from embodied_active_learning.session.learned import load_trained
+from embodied_active_learning.session.planner_memory import PlannerMemory, load_memory, save_memory
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import read_summary, summarise, write_summary
+from embodied_active_learning.simulation.table_picture import TablePicture
+from embodied_active_learning.simulation.world import load_world
+
+NAME = "sample"
+OBSERVATIONS = 4
+VALUES = {
+    "camera": {"width": 12, "height": 12},
+    "model": {"latent_size": 2, "hidden_sizes": [4], "channels": [2], "kernels": [3], "strides": [3]},
+    "training": {"batch_size": 2, "first_update_at": 2},
+    "exploration": {"steps": OBSERVATIONS, "samples": 20, "fresh_samples": 2},
+    "identification": {"cells": [4, 4, 4]},
+}
+
+
+class Kind(NamedTuple):
+    """One kind of file: where it lies below the sample, how it is read, and what it is refused with."""
+
+    path: str
+    read: Callable[[Path], Any]  # of the sample's folder; what comes back can be compared
+    error: Type[EmbodiedActiveLearningError] = CorruptFileError
+    checked: bool = True  # whether a change of its content is noticed; people's own files have no checksum
+
+
+def configuration(root: Path, **session: Any) -> Config:
+    """The configuration of the sample."""
+    return Config.from_dict({**VALUES, "session": {"root": str(root), "name": NAME, **session}})
+
+
+def observation(index: int) -> tuple:
+    """Index, stamp, state and image of an observation."""
+    random = np.random.default_rng(index)
+    state = random.uniform((0.33, -0.14, -1.9), (0.62, 0.14, 1.9))
+    return index, 0.2 * index, state, random.integers(0, 256, (12, 12, 3), dtype=np.uint8)
+
+
+def network(config: Config) -> ConditionalVAE:
+    """The network of a configuration."""
+    torch.manual_seed(3)
+    return ConditionalVAE((config.camera.height, config.camera.width), 3, config.model)
+
+
+def fingerprints(config: Config, number: int = 1) -> FingerprintSet:
+    """A set of one fingerprint with two views."""
+    random = np.random.default_rng(number)
+    item = Fingerprint(
+        name="object-1",
+        kind=OBJECT,
+        centre=np.array([0.5, 0.0, 0.0]),
+        states=random.uniform((0.4, -0.1, -1.0), (0.5, 0.1, 1.0), (2, 3)),
+        images=random.integers(0, 256, (2, 12, 12, 3), dtype=np.uint8),
+        latent_means=random.normal(size=(2, 2)).astype(np.float32),
+        latent_stds=np.ones((2, 2), np.float32),
+        importance=0.5,
+    )
+    weights = network(config).state_dict()
+    return FingerprintSet(NAME, number, OBSERVATIONS, "2026-11-22T12:45:00Z", config, weights, (item,))
+
+
+def make_sample(root: Path) -> Path:
+    """Write the sample below a folder. -> the session's folder."""
+    config = configuration(root)
+    weights = network(config).state_dict()
+    with Session.open_for_writing(config) as session:
+        with session.open_observations() as store:
+            for index in range(OBSERVATIONS):
+                store.append(*observation(index))
+            states, images = store.raw_states, store.images
+        for name, column in (("exploration", "step"), ("training", "update"), ("evaluation", "update")):
+            with session.open_table(name) as table:
+                for number in range(1, 4):
+                    table.append({column: number, "coverage": number / 7} if name != "evaluation" else {column: number})
+        tensors = {f"{NETWORK}{name}": tensor for name, tensor in weights.items()}
+        save_checkpoint(session.paths.checkpoints, 3, tensors, {"updates": 3})
+        save_model(session.paths.model, weights, {"updates": 3, "observations": OBSERVATIONS})
+        save_fingerprints(session.paths.path, fingerprints(config))
+        sought = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)
+        sought.observe(states, images)
+        save_identification(session.paths.path, "first", sought, sought.decide(states, images))
+        memory = ExplorationRun(config).memory()
+        save_memory(session.paths.path / "planner.safetensors", _planner_memory(memory))
+        write_summary(session.paths.summary, summarise(session, True, 1.5))
+    _write_files_of_people(session.paths.path / "people")
+    return session.paths.path
+
+
+def _planner_memory(run: Dict[str, np.ndarray]) -> PlannerMemory:
+    return PlannerMemory(2, (1, 5), np.array([0.4, 0.1, 0.2]), np.zeros(3), np.empty(0), run)
+
+
+def _write_files_of_people(folder: Path) -> None:
+    folder.mkdir()
+    mesh = "".join(f"v {x} {y} {z}\n" for x in (0, 0.01) for y in (0, 0.01) for z in (0, 0.01)) + "f 1 2 3\n"
+    (folder / "thing.obj").write_text(mesh)
+    visual = '<visual><geometry><mesh filename="thing.obj"/></geometry></visual>'
+    (folder / "thing.urdf").write_text(f'<robot name="a"><link name="a">{visual}</link></robot>\n')
+    cv2.imwrite(str(folder / "table.png"), np.arange(48, dtype=np.uint8).reshape(4, 4, 3))
+    world = {"table": {"texture": "table.png"}, "objects": {"a": {"urdf": "thing.urdf", "position": [0.45, 0.0]}}}
+    (folder / "world.yaml").write_text(yaml.safe_dump(world))
+    (folder / "profile.yaml").write_text(yaml.safe_dump(VALUES))
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and tensors as bytes, so that two of a kind can be compared."""
+    if isinstance(value, torch.Tensor):
+        value = value.numpy()
+    if isinstance(value, np.ndarray):
+        return str(value.dtype), value.shape, value.tobytes()
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _observations(path: Path) -> Any:
+    with Session.open_read_only(path).open_observations() as store:
+        return [_plain([array[index] for array in store.snapshot()]) for index in range(len(store))]
+
+
+def _checkpoint(path: Path) -> Any:
+    found = load_latest(path / "checkpoints")
+    return found and (found.updates, found.counters, _plain(found.tensors))
+
+
+def _memory(path: Path) -> Any:
+    found = load_memory(path / "planner.safetensors")
+    return found and _plain(vars(found))
+
+
+def _set(path: Path) -> Any:
+    found = load_fingerprints(path)
+    return found.session, found.updates, found.created, _plain(found.weights), [
+        _plain(vars(item)) for item in found.fingerprints
+    ]  # fmt: skip
+
+
+def _world(path: Path) -> Any:
+    world = load_world(str(path / "people" / "world.yaml"), Config().workspace.box())
+    return repr(world.objects), repr(world.disturbances), _plain(TablePicture(world.table)._texture)
+
+
+def _decisions(path: Path) -> Any:
+    found = load_identification(path, "first")
+    return found.name, found.session, found.images, [_plain(vars(decision)) for decision in found.decisions]
+
+
+def _table(name: str) -> Callable[[Path], Any]:
+    return lambda path: _plain(Session.open_read_only(path).read_table(name))
+
+
+_GENERATION = "fingerprints/000001"
+KINDS = (
+    Kind("config.yaml", lambda path: Session.open_read_only(path).config.to_dict()),
+    Kind("summary.yaml", lambda path: vars(read_summary(path / "summary.yaml"))),
+    Kind("observations/format.json", _observations),
+    Kind("observations/observations.bin", _observations),
+    Kind("exploration.csv", _table("exploration"), checked=False),
+    Kind("training.csv", _table("training"), checked=False),
+    Kind("evaluation.csv", _table("evaluation"), checked=False),
+    Kind("checkpoints/checkpoint_000000003.safetensors", _checkpoint),
+    Kind("model.safetensors", lambda path: _plain(load_trained(Session.open_read_only(path)).weights)),
+    Kind("planner.safetensors", _memory),
+    Kind(f"{_GENERATION}/set.yaml", _set),
+    Kind(f"{_GENERATION}/model.safetensors", _set),
+    Kind(f"{_GENERATION}/object-1/fingerprint.safetensors", _set),
+    Kind("identification/first/decisions.yaml", _decisions),
+    Kind("identification/first/trace.safetensors", lambda path: _plain(load_trace(path, "first"))),
+    Kind("identification/first/beliefs.safetensors", lambda path: _plain(load_beliefs(path, "first"))),
+    Kind(
+        "people/profile.yaml",
+        lambda path: Config.from_dict(load_profile(path / "people" / "profile.yaml")).to_dict(),
+        ConfigError,
+        checked=False,
+    ),
+    Kind("people/world.yaml", _world, WorldError, checked=False),
+    Kind("people/thing.urdf", _world, WorldError, checked=False),
+    Kind("people/thing.obj", _world, WorldError, checked=False),
+    Kind("people/table.png", _world, WorldError, checked=False),
+)

@@ -1,0 +1,504 @@
+"""Whatever has happened to a file: what was written comes back, or an error that names the file, and nothing is run."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import random
+import shutil
+import socket
+import zipfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sample_session import KINDS, OBSERVATIONS, configuration, make_sample
+
+from embodied_active_learning.errors import (
+    CorruptFileError,
+    ObservationError,
+    SessionError,
+)
+from embodied_active_learning.reading import LARGEST_YAML, parse_yaml
+from embodied_active_learning.session.array_files import read_arrays, write_arrays
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.tables import Table
+
+FLIPS, CUTS = 25, 12  # of each file
+HUGE = 10 * 2**30
+RECORDS = "observations/observations.bin"
+EVERY_KIND = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.path)
+TENSORS = [kind for kind in KINDS if kind.path.endswith(".safetensors")]
+YAML_FILES = [kind for kind in KINDS if kind.path.endswith(".yaml")]
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory):
+    return make_sample(tmp_path_factory.mktemp("root"))
+
+
+@pytest.fixture(scope="module")
+def originals(sample):
+    return {kind.path: kind.read(sample) for kind in KINDS}
+
+
+@pytest.fixture(scope="module")
+def canary(tmp_path_factory):
+    """A file that is there as soon as something was run; that it is not is checked when all is over."""
+    path = tmp_path_factory.mktemp("canary") / "alive"
+    yield path
+    assert not path.exists()
+
+
+@contextmanager
+def replaced(path: Path):
+    """The file out of the way for the time of the block."""
+    kept = path.with_name(f"{path.name}.kept")
+    path.rename(kept)
+    try:
+        yield
+    finally:
+        if path.is_dir() and not path.is_symlink():
+            path.rmdir()
+        elif os.path.lexists(path):
+            path.unlink()
+        kept.rename(path)
+
+
+def refusal(kind, sample):
+    """The message that the file is refused with, which names it."""
+    with pytest.raises(kind.error) as refused:
+        kind.read(sample)
+    assert Path(kind.path).name in str(refused.value)
+    assert len(str(refused.value)) < 5000
+    return str(refused.value)
+
+
+def read_or_refused(kind, sample):
+    """What is read, or None with a refusal that names the file."""
+    try:
+        return kind.read(sample)
+    except (kind.error, SessionError) as error:
+        message = str(error)
+    assert Path(kind.path).name in message or kind.path.startswith("people")
+    return None
+
+
+def is_believable(kind, found, original, content):
+    """Whether what was read is what was written: all of it, or of what grows line by line a beginning."""
+    if found is None or found == original:
+        return True
+    if kind.path == RECORDS:
+        return found == original[: len(found)]
+    return not kind.checked
+
+
+@EVERY_KIND
+def test_what_was_written_comes_back(kind, sample, originals):
+    assert kind.read(sample) == originals[kind.path]
+
+
+@EVERY_KIND
+def test_a_file_cut_short_is_refused_or_gives_whole_records(kind, sample, originals):
+    path, content = sample / kind.path, (sample / kind.path).read_bytes()
+    cuts = random.Random(1)
+    with replaced(path):
+        for length in {0, 1, 7, 8, len(content) - 2, *(cuts.randrange(len(content)) for _ in range(CUTS))}:
+            path.write_bytes(content[:length])
+            found = read_or_refused(kind, sample)
+            assert is_believable(kind, found, originals[kind.path], content[:length]), length
+
+
+@EVERY_KIND
+def test_a_flipped_bit_is_noticed_or_changes_nothing(kind, sample, originals):
+    path, content = sample / kind.path, (sample / kind.path).read_bytes()
+    draws = random.Random(2)
+    with replaced(path):
+        for _ in range(FLIPS):
+            damaged, position = bytearray(content), draws.randrange(len(content))
+            damaged[position] ^= 1 << draws.randrange(8)
+            path.write_bytes(damaged)
+            found = read_or_refused(kind, sample)
+            assert is_believable(kind, found, originals[kind.path], damaged), position
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_bytes_in_the_place_of_any_file_are_refused_by_name(sample, originals, data):
+    kind = data.draw(st.sampled_from(KINDS))
+    content = data.draw(st.one_of(st.binary(max_size=200), st.text(max_size=200).map(str.encode)))
+    path = sample / kind.path
+    with replaced(path):
+        path.write_bytes(content)
+        found = read_or_refused(kind, sample)
+    assert found is None or not kind.checked or (kind.path == RECORDS and found == [])
+
+
+@EVERY_KIND
+def test_a_file_of_another_kind_is_refused(kind, sample):
+    path = sample / kind.path
+    contents = {other.path: (sample / other.path).read_bytes() for other in KINDS}
+    with replaced(path):
+        for name, content in contents.items():
+            path.write_bytes(content)
+            if name == kind.path:
+                continue
+            found = read_or_refused(kind, sample)
+            assert found is None or (kind.path == RECORDS and found == []), name
+
+
+@EVERY_KIND
+def test_what_is_no_file_is_refused_without_being_opened(kind, sample, tmp_path):
+    path = sample / kind.path
+    made = {
+        "it is a folder": path.mkdir,
+        "it is a named pipe": lambda: os.mkfifo(path),  # opening it would wait for a writer for ever
+        "it is a device": lambda: path.symlink_to("/dev/zero"),  # reading it would never end
+        "it is a socket": lambda: bind(path, tmp_path),
+    }
+    for complaint, make in made.items():
+        with replaced(path):
+            make()
+            message = refusal(kind, sample)
+            assert complaint in message or "it is a symbolic link" in message or "leads out of" in message
+
+
+def bind(path, folder):
+    """A socket; its own path would be too long."""
+    with socket.socket(socket.AF_UNIX) as stream:
+        os.chdir(folder)
+        stream.bind("s")
+    os.rename(folder / "s", path)
+
+
+@EVERY_KIND
+def test_a_missing_file_is_named_unless_there_need_be_none(kind, sample, originals):
+    with replaced(sample / kind.path):
+        if kind.path.endswith(".csv"):
+            assert all(shape == (0,) for _, shape, _ in kind.read(sample).values())
+        elif kind.path.startswith(("checkpoints", "planner")):
+            assert kind.read(sample) is None
+        elif kind.path == "model.safetensors":
+            assert kind.read(sample) == originals[kind.path]  # of the newest checkpoint
+        elif kind.path in (RECORDS, "identification/first/decisions.yaml"):
+            with pytest.raises(SessionError, match=r"holds no observations yet|is missing: there is no identification"):
+                kind.read(sample)
+        else:
+            refusal(kind, sample)
+
+
+@EVERY_KIND
+def test_a_huge_file_is_refused_unread(kind, sample):
+    path = sample / kind.path
+    content = path.read_bytes()
+    with replaced(path):
+        path.write_bytes(content)
+        os.truncate(path, HUGE)
+        message = refusal(kind, sample)
+    assert f"has {HUGE} bytes" in message or (kind.path == RECORDS and f"record {OBSERVATIONS} is damaged" in message)
+
+
+@EVERY_KIND
+def test_a_link_out_of_the_session_is_not_followed_and_a_loop_is_refused(kind, sample, tmp_path, originals):
+    path = sample / kind.path
+    outside = tmp_path / path.name
+    shutil.copy(path, outside)
+    with replaced(path):
+        path.symlink_to(outside)
+        if kind.path.startswith("people"):
+            assert kind.read(sample) == originals[kind.path]
+        else:
+            refusal(kind, sample)
+            assert path.is_symlink()
+        path.unlink()
+        path.symlink_to(path)
+        refusal(kind, sample)
+
+
+class Payload:
+    """A pickle that makes a file when it is loaded."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+def malicious(kind, path, canary):
+    """Files under the name of another kind that would run something in careless readers."""
+    yield pickle.dumps(Payload(canary))
+    torch.save(Payload(canary), path)
+    yield path.read_bytes()
+    np.savez(path.with_suffix(".npz"), a=np.array([Payload(canary)], dtype=object))
+    yield path.with_suffix(".npz").read_bytes()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data.pkl", pickle.dumps(Payload(canary)))
+    yield path.read_bytes()
+    for tag in ("apply:os.mkdir", "new:os.mkdir", "apply:builtins.open"):
+        yield f"!!python/object/{tag} [{canary}]\n".encode()
+        yield f"config: !!python/object/{tag} [{canary}]\n".encode()
+    yield f"!!python/object/apply:os.system ['touch {canary}']\n".encode()
+    yield b"!!python/name:os.system\n"
+    yield f"__import__('os').mkdir({str(canary)!r})\n".encode()
+
+
+@EVERY_KIND
+def test_a_malicious_file_is_refused_and_nothing_of_it_is_run(kind, sample, tmp_path, canary):
+    path = sample / kind.path
+    with replaced(path):
+        for content in malicious(kind, tmp_path / "made", canary):
+            path.write_bytes(content)
+            found = read_or_refused(kind, sample)
+            assert found is None or (kind.path == RECORDS and found == [])
+            assert not canary.exists()
+
+
+def test_the_canary_would_sing(tmp_path):
+    canary = tmp_path / "canary"
+    pickle.loads(pickle.dumps(Payload(canary))).close()  # noqa: S301 - what the readers must not do
+    assert canary.exists()
+
+
+@pytest.mark.parametrize("kind", YAML_FILES, ids=lambda kind: kind.path)
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("a: &a [x, x, x, x]\nb: &b [*a, *a, *a, *a]\nc: [*b, *b, *b, *b]\n", "anchors are not understood"),
+        ("a: &a [*a]\n", "anchors are not understood"),
+        ("a: " + "[" * 50000, "nested deeper than 32 levels"),
+        ("{a: " * 50000, "nested deeper than 32 levels"),
+        ("a: " + "9" * 100000, "a number has 100000 digits"),
+        ("a: 1\nb: 2\na: 3\n", "line 3: 'a' stands twice"),
+        ("1: 2\n", "1 is no text, as names are"),
+        ("a: 2026-99-99\n", "month must be in"),
+        ("a: !!binary x\n", "the tag .* is not understood"),
+        ("a: 1\n--- \nb: 1\n", "expected a single document"),
+        ("\x00", "special characters"),
+        ("- a\n", "is a list, expected fields"),
+        ("word\n", "is a str, expected fields"),
+        ("# nothing\n", "is empty, expected fields"),
+        ("a: 1\n" + "#" * LARGEST_YAML, "bytes, and 262144 are allowed"),
+    ],
+)
+def test_yaml_that_is_no_plain_data_of_reasonable_size_is_refused(kind, sample, text, complaint):
+    path = sample / kind.path
+    with replaced(path):
+        path.write_text(text)
+        with pytest.raises(kind.error, match=rf"{path.name}.*{complaint}"):
+            kind.read(sample)
+
+
+@given(
+    st.recursive(
+        st.one_of(st.none(), st.booleans(), st.integers(-(2**63), 2**64), st.floats(allow_nan=False), st.text()),
+        lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(), inner, max_size=3)),
+        max_leaves=10,
+    )
+)
+@settings(deadline=None, derandomize=True)
+def test_plain_yaml_comes_back(value):
+    assert parse_yaml(yaml.safe_dump(value)) == value
+
+
+@given(st.text(alphabet="ab:-[]{}&*!?|>'\"%@#<=\n ,.0123456789~", max_size=60))
+@settings(max_examples=300, deadline=None, derandomize=True)
+def test_any_yaml_is_read_or_refused(text):
+    with contextlib.suppress(ValueError):
+        repr(parse_yaml(text))
+
+
+def with_header(header, data=b"", claimed=None):
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return (len(text) if claimed is None else claimed).to_bytes(8, "little") + text + data
+
+
+@pytest.mark.parametrize("kind", TENSORS, ids=lambda kind: kind.path)
+def test_tensors_whose_header_lies_are_refused(kind, sample):
+    path = sample / kind.path
+    metadata = safetensors_header(path)["__metadata__"]
+    whole = {"__metadata__": metadata}
+    wrong = [
+        with_header(whole, claimed=2**63),
+        with_header(whole, claimed=0),
+        with_header(whole, claimed=len(json.dumps(whole)) + 1),
+        with_header({**whole, "w": {"dtype": "F32", "shape": [2], "data_offsets": [0, 8]}}),
+        with_header({**whole, "w": {"dtype": "F32", "shape": [2**40], "data_offsets": [0, 2**42]}}, b"1234"),
+        with_header({**whole, "w": {"dtype": "F32", "shape": [2], "data_offsets": [8, 0]}}, bytes(8)),
+        with_header({**whole, "w": {"dtype": "F32", "shape": [3], "data_offsets": [0, 8]}}, bytes(8)),
+        with_header({**whole, "w": {"dtype": "F32", "shape": [-1], "data_offsets": [0, 8]}}, bytes(8)),
+        with_header({**whole, "w": {"dtype": "EVIL", "shape": [2], "data_offsets": [0, 8]}}, bytes(8)),
+        with_header({**whole, "w": {"dtype": "F8_E4M3", "shape": [8], "data_offsets": [0, 8]}}, bytes(8)),
+        with_header({**whole, "w": {"dtype": "BF16", "shape": [4], "data_offsets": [0, 8]}}, bytes(8)),
+        with_header({**whole, "w": {"dtype": "F16", "shape": [4], "data_offsets": [0, 8]}}, bytes(8)),
+        with_header(b"[" * 100000),
+        with_header(b"\xff" * 100),
+        with_header({"__metadata__": {**metadata, "facts": "[" * 100000}}),
+        with_header({"__metadata__": {**metadata, "version": "2"}}),
+        with_header({}),
+    ]
+    with replaced(path):
+        for content in wrong:
+            path.write_bytes(content)
+            refusal(kind, sample)
+
+
+def safetensors_header(path):
+    content = path.read_bytes()
+    return json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+
+
+def resealed(path, arrays, facts):
+    """Change arrays and facts of a file, None removes one; with a checksum that is right."""
+    kind = safetensors_header(path)["__metadata__"]["format"].rpartition("/")[2]
+    found, said = read_arrays(path, kind)
+    whole = {name: array for name, array in {**found, **arrays}.items() if array is not None}
+    path.unlink()
+    write_arrays(path, kind, whole, {name: fact for name, fact in {**said, **facts}.items() if fact is not None})
+
+
+@pytest.mark.parametrize(
+    ("name", "arrays", "facts", "complaint"),
+    [
+        ("model", {"decoder.0.bias": np.zeros(5, np.float32)}, {}, "does not fit .*decoder.0.bias"),
+        ("model", {"decoder.0.bias": np.zeros(4)}, {}, "decoder.0.bias is torch.float64, expected torch.float32"),
+        ("model", {"decoder.0.bias": None}, {}, "does not fit .*decoder.0.bias"),
+        ("model", {"other": np.zeros(1, np.float32)}, {}, "does not fit .*other"),
+        ("model", {"decoder.0.bias": np.full(4, np.nan, np.float32)}, {}, "decoder.0.bias holds values that are not"),
+        ("model", {"decoder.0.bias": np.zeros(4, np.uint64)}, {}, "decoder.0.bias is uint64"),
+        ("model", {}, {"updates": None}, "updates is missing"),
+        ("model", {}, {"updates": "9"}, "updates is '9', expected a whole number"),
+        ("checkpoint", {}, {"updates": None}, "updates is missing"),
+        ("checkpoint", {}, {"updates": 4}, "updates is 4, expected 3"),
+        ("checkpoint", {}, {"counters": [1]}, r"counters is \[1\]"),
+        ("checkpoint", {"network/decoder.0.bias": np.full(4, np.inf, np.float32)}, {}, "values that are not finite"),
+        ("planner", {"state": np.zeros(4)}, {}, "state is not finite numbers"),
+        ("planner", {}, {"index": -1}, "index is -1"),
+    ],
+)
+def test_tensors_that_do_not_fit_are_refused_though_their_checksum_is_right(sample, name, arrays, facts, complaint):
+    kind = next(kind for kind in TENSORS if f"/{kind.path}".rpartition("/")[2].startswith(name))
+    path = sample / kind.path
+    content = path.read_bytes()
+    with replaced(path):
+        path.write_bytes(content)
+        resealed(path, arrays, facts)
+        with pytest.raises(CorruptFileError, match=rf"(?s){path.name}.*{complaint}"):
+            kind.read(sample)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("image_shape", [10**6, 10**6, 3], "image_shape is .*, expected .* of at most 4096 px"),
+        ("image_shape", [12, 12, 4], "image_shape is"),
+        ("image_shape", [12, 12, 3.0], "image_shape is"),
+        ("state_names", ["y", "x", "theta"], "state_names is"),
+        ("record_bytes", 10**9, "record_bytes is"),
+        ("version", True, "version is True, expected 1"),
+    ],
+)
+def test_a_layout_that_would_fill_the_memory_or_mix_up_numbers_is_refused(sample, field, value, complaint):
+    path = sample / "observations" / "format.json"
+    content = {**json.loads(path.read_text()), field: value}
+    with replaced(path):
+        path.write_text(json.dumps(content))
+        with pytest.raises(CorruptFileError, match=rf"format.json: {complaint}"):
+            Session.open_read_only(sample).open_observations()
+
+
+def test_observations_of_another_size_than_the_session_s_camera_are_refused(sample):
+    path = sample / "observations" / "format.json"
+    content = {**json.loads(path.read_text()), "image_shape": [6, 24, 3]}  # as many bytes
+    with replaced(path):
+        path.write_text(json.dumps(content))
+        with pytest.raises(ObservationError, match=r"format.json: image_shape is \[6, 24, 3\], but the camera gives"):
+            Session.open_read_only(sample).open_observations()
+
+
+@pytest.mark.parametrize("folder", ["observations", "checkpoints", "fingerprints", "identification", "figures"])
+def test_a_folder_that_leads_out_of_the_session_is_neither_read_nor_written(tmp_path, folder):
+    path, outside = make_sample(tmp_path / "root"), tmp_path / "outside"
+    (path / "figures").mkdir()
+    (path / folder).rename(outside)
+    (path / folder).symlink_to(outside)
+    before = sorted(entry.name for entry in outside.rglob("*"))
+    for attempt in (
+        lambda: Session.open_read_only(path),
+        lambda: Session.open_for_writing(configuration(tmp_path / "root", resume=True)),
+    ):
+        with pytest.raises(SessionError, match=rf"{folder} leads out of {path}, to {outside}"):
+            attempt()
+    assert sorted(entry.name for entry in outside.rglob("*")) == before
+
+
+def open_everything(config):
+    with Session.open_for_writing(config) as session, session.open_observations(), session.open_table("exploration"):
+        pass
+
+
+@pytest.mark.parametrize("name", [".lock", "exploration.csv", "observations/observations.bin"])
+def test_nothing_is_written_through_a_link(tmp_path, name):
+    path, outside = make_sample(tmp_path / "root"), tmp_path / "outside"
+    outside.write_text("precious")
+    (path / name).unlink()
+    (path / name).symlink_to(outside)
+    with pytest.raises(SessionError, match="it is a symbolic link"):
+        open_everything(configuration(tmp_path / "root", resume=True))
+    assert outside.read_text() == "precious"
+
+
+def test_a_named_pipe_in_the_place_of_the_lock_does_not_make_anybody_wait(tmp_path):
+    path = make_sample(tmp_path)
+    (path / ".lock").unlink()
+    os.mkfifo(path / ".lock")
+    with pytest.raises(SessionError, match=r"\.lock cannot be locked \(it is a named pipe\)"):
+        Session.open_for_writing(configuration(tmp_path, resume=True))
+
+
+@pytest.mark.parametrize("content", [b"precious, without a line", b"precious\n1,2\n", b"step,value\n1,2\nprecious\n"])
+def test_a_table_that_is_somebody_else_s_is_left_as_it_is(tmp_path, content):
+    path = tmp_path / "exploration.csv"
+    path.write_bytes(content)
+    with pytest.raises(CorruptFileError, match=r"exploration.csv: (the header|line 3) is"):
+        Table(path, ("step", "value"))
+    assert path.read_bytes() == content
+
+
+def test_numbers_that_python_would_take_and_no_table_holds_are_refused(tmp_path):
+    for number in ("1_0", " 1", "0x1", "1e", "infinity", "+1", "\u0661"):
+        path = tmp_path / "t.csv"
+        path.write_text(f"step,value\n1,{number}\n")
+        with pytest.raises(CorruptFileError, match=r"t.csv: line 2"):
+            Table(path, ("step", "value"))
+
+
+@pytest.mark.parametrize("name", ["people/world.yaml", "people/thing.urdf", "people/thing.obj", "people/table.png"])
+def test_a_world_whose_files_are_damaged_names_the_world_s_file(sample, name):
+    kind = next(kind for kind in KINDS if kind.path == name)
+    with replaced(sample / name):
+        (sample / name).write_bytes(b"\x00")
+        assert Path(name).name in refusal(kind, sample)
+
+
+@pytest.mark.parametrize("encoding", ["ebcdic-none", "utf-7", "utf-16", "rot13"])
+def test_xml_in_a_strange_encoding_is_refused(sample, encoding):
+    kind, path = next(kind for kind in KINDS if kind.path == "people/thing.urdf"), sample / "people/thing.urdf"
+    with replaced(path):
+        path.write_text(f'<?xml version="1.0" encoding="{encoding}"?><robot/>')
+        refusal(kind, sample)
+
+
+def test_entities_that_stand_for_more_than_any_memory_holds_are_refused(sample):
+    kind, path = next(kind for kind in KINDS if kind.path == "people/thing.urdf"), sample / "people/thing.urdf"
+    entities = "".join(f'<!ENTITY e{n} "{f"&e{n - 1};" * 10}">' for n in range(1, 30))
+    with replaced(path):
+        path.write_text(f'<!DOCTYPE robot [<!ENTITY e0 "laugh">{entities}]><robot name="&e29;"/>')
+        refusal(kind, sample)
