@@ -49,3 +49,16 @@ def launch_to_the_end(home, *arguments, timeout=300):
     with launched(home, *arguments) as process:
         process.wait(timeout)
     return (Path(home) / "launch.log").read_text()
+
+
+def pid_of(node, launcher):
+    """The process of a node that this launcher started."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            command = (entry / "cmdline").read_bytes().split(b"\0")
+            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+        if parent == launcher and any(part.endswith(f"/{node}".encode()) for part in command):
+            return int(entry.name)
+    raise AssertionError(f"{node} is not running")

@@ -6,13 +6,12 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.session import Session
-from launching import ROOT, environment, launch_to_the_end, launched, started
+from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
 
 SHORT = ROOT / "test" / "rostest" / "short.yaml"
 
@@ -120,16 +119,3 @@ def test_two_systems_run_in_namespaces_under_one_master(tmp_path):
                 process.wait(180)
     for home in homes.values():
         assert finished(home / "run"), (home / "launch.log").read_text()
-
-
-def pid_of(node, launcher):
-    """The process of a node that this launcher started."""
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            command = (entry / "cmdline").read_bytes().split(b"\0")
-            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-        except OSError:
-            continue
-        if parent == launcher and any(part.endswith(f"/{node}".encode()) for part in command):
-            return int(entry.name)
-    raise AssertionError(f"{node} is not running")

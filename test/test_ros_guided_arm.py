@@ -202,13 +202,15 @@ def test_what_only_time_or_a_person_can_mend_is_waited_for(arm, guided, error_cl
     arm.failures = [error_class("not now") for _ in range(20)]
     assert guided.execute(FORWARD) is REACHED
     assert len(arm.told) == 21
-    assert guided.health("exploring") == Health(ERROR, "the arm stands still: not now")
+    assert guided.health(Health(message="exploring")) == Health(ERROR, "the arm stands still: not now")
 
 
 def test_health_tells_of_a_pause_and_of_whom_it_awaits(guided):
-    assert guided.health("exploring") == Health(message="exploring")
+    assert guided.health(Health(message="exploring")) == Health(message="exploring")
     guided.pause("a call of /planner/resume")
-    assert guided.health("exploring") == Health(WARN, "paused, waiting for a call of /planner/resume")
+    assert guided.health(Health(message="exploring")) == Health(
+        WARN, "paused, waiting for a call of /planner/resume", idle=True
+    )
 
 
 def test_the_arm_is_kept_while_its_driver_waits_and_no_longer_when_it_has_given_it_back(arm, camera):

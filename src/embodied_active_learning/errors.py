@@ -47,3 +47,7 @@ class BusyError(EmbodiedActiveLearningError):
 
 class UnansweredError(CommandError):
     """A motion command was not answered: whether the arm carries it out is not known."""
+
+
+class RunFailedError(EmbodiedActiveLearningError):
+    """Another node of the run has given up; the message is its reason."""

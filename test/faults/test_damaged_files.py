@@ -19,7 +19,6 @@ import torch
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sample_session import KINDS, OBSERVATIONS, configuration, make_sample
 
 from embodied_active_learning.errors import (
     CorruptFileError,
@@ -30,6 +29,7 @@ from embodied_active_learning.reading import LARGEST_YAML, parse_yaml
 from embodied_active_learning.session.array_files import read_arrays, write_arrays
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table
+from sample_session import KINDS, OBSERVATIONS, configuration, make_sample
 
 FLIPS, CUTS = 25, 12  # of each file
 HUGE = 10 * 2**30

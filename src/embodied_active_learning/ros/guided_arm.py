@@ -7,6 +7,7 @@ import threading
 import time
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NotInTimeError
+from dataclasses import replace
 from typing import NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
@@ -90,11 +91,13 @@ class GuidedArm:
         """Why the arm is held still; empty when it goes on."""
         return self._trouble
 
-    def health(self, going: str) -> Health:
+    def health(self, going: Health) -> Health:
         """What /diagnostics tells: that the arm is paused or held still, and why; else what is going on."""
         if self.is_paused:
-            return Health(WARN, f"paused, waiting for {self._awaited}")
-        return Health(ERROR, f"the arm stands still: {self._trouble}") if self._trouble else Health(message=going)
+            return replace(going, level=WARN, message=f"paused, waiting for {self._awaited}", idle=True)
+        if self._trouble:
+            return replace(going, level=ERROR, message=f"the arm stands still: {self._trouble}")
+        return going
 
     @property
     def held(self) -> bool:

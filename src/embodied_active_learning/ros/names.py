@@ -41,6 +41,8 @@ TIME_AVERAGE_CLOUD = "time_average_cloud"
 WORKSPACE_MARKER = "workspace"
 
 CONFIG_PARAMETER = "config"
+FAILURE_PARAMETER = "failure"
+STARTS_PARAMETER = "starts"
 
 BASE_FRAME = "panda_link0"
 CAMERA_FRAME = "camera_optical_frame"

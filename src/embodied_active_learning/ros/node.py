@@ -1,9 +1,8 @@
-"""How every node begins and ends, reads its configuration, and says what it is waiting for."""
+"""How every node begins and ends, reads its configuration, and waits."""
 
 from __future__ import annotations
 
 import sys
-import threading
 import time
 from typing import Any, Callable
 
@@ -12,26 +11,66 @@ import rospy
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.ending import Deadline, ExitCode
+from embodied_active_learning.ros.failure import count_start, report_failure
+from embodied_active_learning.ros.master import MasterWatch, wait_for_master
+from embodied_active_learning.ros.waits import REPEAT_AFTER, awaiting
 
-REPEAT_AFTER = 5.0
-"""Wall seconds after which a node says again what it is waiting for."""
+__all__ = ["REPEAT_AFTER", "ShutdownRequestedError", "pause", "read_config", "run_node", "try_to_draw", "wait_until"]
 
 
 class ShutdownRequestedError(Exception):
     """The node was asked to end while it was waiting."""
 
 
-def run_node(name: str, body: Callable[[Config], None]) -> None:
-    """Start the node, hand its configuration to body, and exit 0, or 2 with the named error as the last line."""
-    rospy.init_node(name)
+def run_node(
+    name: str, body: Callable[[Config], None], needs_clock: bool = False, always_required: bool = False
+) -> None:
+    """Start the node, hand its configuration to body, and exit with one of ExitCode.
+
+    needs_clock: wait first, where /use_sim_time is set, until somebody publishes /clock. always_required: the launch
+    ends with this node in any case; another one that gives up leaves its reason for such a node (see FailureWatch).
+    """
+    deadline = Deadline(name)
     try:
+        code = _run(name, body, needs_clock, always_required)
+    finally:
+        deadline.start()
+    sys.exit(code)
+
+
+def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool) -> ExitCode:
+    watch = None
+    try:
+        wait_for_master()
+        rospy.init_node(name)
+        watch = MasterWatch()
+        count_start()
+        if needs_clock:
+            wait_until(_clock_is_there, lambda: "/clock: /use_sim_time is true but nobody publishes it")
         body(read_config())
     except EmbodiedActiveLearningError as error:
-        rospy.logfatal("%s", error)
-        rospy.signal_shutdown(str(error))
-        sys.exit(2)
-    except (ShutdownRequestedError, rospy.ROSInterruptException):
+        if watch is None or not watch.lost:
+            rospy.logfatal("%s", error)
+            if not always_required:
+                report_failure(str(error))
+            rospy.signal_shutdown(str(error))
+            return ExitCode.REFUSED
+    except ShutdownRequestedError:
         pass
+    except rospy.ROSException:
+        # Whoever still publishes while a node ends gets one, too.
+        if not rospy.is_shutdown():
+            raise
+    return ExitCode.MASTER_LOST if watch is not None and watch.lost else ExitCode.ENDED
+
+
+def _clock_is_there() -> bool:
+    """Whether time passes by a clock that somebody keeps; where it is the computer's own, always."""
+    if rospy.rostime.is_wallclock() or not rospy.get_rostime().is_zero():
+        return True
+    topic = rospy.resolve_name("/clock")
+    return any(name == topic for name, _ in rospy.get_published_topics())
 
 
 def read_config() -> Config:
@@ -48,14 +87,11 @@ def wait_until(condition: Callable[[], bool], waiting_for: Callable[[], str], pe
 
     Waits on wall time, because simulated time stands still while nobody moves the arm. Raises ShutdownRequestedError.
     """
-    say_at = time.monotonic() + 1.0
-    while not condition():
-        if rospy.is_shutdown():
-            raise ShutdownRequestedError
-        if time.monotonic() >= say_at:
-            rospy.loginfo("waiting for %s", waiting_for())
-            say_at = time.monotonic() + REPEAT_AFTER
-        time.sleep(period)
+    with awaiting(waiting_for, first_after=1.0):
+        while not condition():
+            if rospy.is_shutdown():
+                raise ShutdownRequestedError
+            time.sleep(period)
 
 
 def pause(seconds: float) -> None:
@@ -71,18 +107,3 @@ def try_to_draw(draw: Callable[..., Any], *arguments: Any) -> Any:
     except Exception as error:
         rospy.logwarn("the results are stored, but could not be drawn: %r", error)
         return None
-
-
-class Ticker:
-    """Calls a function every period of wall time in a thread of its own, until the node ends."""
-
-    def __init__(self, period: float, function: Callable[[], None]) -> None:
-        self._period = period
-        self._function = function
-        self._ended = threading.Event()
-        rospy.on_shutdown(self._ended.set)
-        threading.Thread(target=self._run, daemon=True).start()
-
-    def _run(self) -> None:
-        while not self._ended.wait(self._period):
-            self._function()

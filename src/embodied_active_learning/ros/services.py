@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Callable, Dict, Iterator, Optional
 
 import rospy
@@ -12,7 +13,8 @@ from rospy.exceptions import TransportException
 from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
-from embodied_active_learning.ros.node import REPEAT_AFTER, ShutdownRequestedError
+from embodied_active_learning.ros.node import ShutdownRequestedError
+from embodied_active_learning.ros.waits import awaiting
 
 # What a call raises when the other side is gone: rospy lets the socket's own errors through.
 TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, OSError)
@@ -30,6 +32,8 @@ class PatientService:
         self._service_class = service_class
         self._proxy: Any = None
         self._lock = threading.Lock()
+        self._ended = False
+        rospy.on_shutdown(self._end)
 
     def call(self, request: Any) -> Any:
         """The server's answer, however long it takes.
@@ -40,7 +44,7 @@ class PatientService:
             return self._call(request)
 
     def _call(self, request: Any) -> Any:
-        while not rospy.is_shutdown():
+        while not (self._ended or rospy.is_shutdown()):
             try:
                 if self._proxy is None:
                     rospy.wait_for_service(self._name, timeout=1.0)
@@ -58,6 +62,14 @@ class PatientService:
         if self._proxy is not None:
             self._proxy.close()
             self._proxy = None
+
+    def _end(self) -> None:
+        """Wake the thread that waits for an answer: no call of a service can be given up otherwise."""
+        self._ended = True
+        transport = getattr(self._proxy, "transport", None)
+        if transport is not None:
+            with suppress(OSError, AttributeError):  # closed meanwhile
+                transport.socket.shutdown(socket.SHUT_RDWR)
 
 
 def is_offered(name: str) -> bool:
@@ -83,17 +95,8 @@ def trigger_if_offered(name: str) -> Optional[TriggerResponse]:
 @contextmanager
 def saying_who_is_awaited(name: str) -> Iterator[None]:
     """Say every few seconds of wall time that a service has not answered yet, until the block ends."""
-    answered, started = threading.Event(), time.monotonic()
-
-    def say() -> None:
-        while not answered.wait(REPEAT_AFTER) and not rospy.is_shutdown():
-            rospy.loginfo("waiting for %s to answer, for %.0f s now", name, time.monotonic() - started)
-
-    threading.Thread(target=say, daemon=True).start()
-    try:
+    with awaiting(lambda: f"{name} to answer"):
         yield
-    finally:
-        answered.set()
 
 
 def offer_service(
@@ -113,5 +116,9 @@ def offer_service(
         except EmbodiedActiveLearningError as error:
             rospy.logwarn("%s refused: %s", name, error)
             return service_class._response_class(success=False, message=str(error), **fields_of(error))
+        except (ShutdownRequestedError, rospy.ROSException):
+            if not rospy.is_shutdown():
+                raise
+            return service_class._response_class(success=False, message=f"{rospy.get_name()} is ending")
 
     return rospy.Service(name, service_class, answer)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Optional, Tuple
 
 import numpy as np
-import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.msg import Observation
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import states_array
-from embodied_active_learning.ros.node import REPEAT_AFTER
 from embodied_active_learning.ros.services import PatientService
+from embodied_active_learning.ros.waits import awaiting
 from embodied_active_learning.srv import (
     EvaluateEntropy,
     EvaluateEntropyRequest,
@@ -56,13 +54,12 @@ class TrainerClient:
             return None  # also where the trainer was quick, so that a run can be repeated
         updates = max(0, awaited - self._config.training.max_lag)
         request = EvaluateEntropyRequest(updates, np.asarray(states).ravel().tolist())
-        say_at = time.monotonic() + REPEAT_AFTER
-        while True:
-            answer = self._entropy.call(request)
-            if not answer.success:
-                raise EmbodiedActiveLearningError(f"the trainer gave no entropy: {answer.message}")
-            if answer.ready:
-                return np.array(answer.log_std) if answer.learned else None
-            if time.monotonic() >= say_at:
-                rospy.loginfo("waiting for the trainer: update %d of %d", answer.updates, updates)
-                say_at = time.monotonic() + REPEAT_AFTER
+        made = 0
+        with awaiting(lambda: f"the trainer: update {made} of {updates}"):
+            while True:
+                answer = self._entropy.call(request)
+                if not answer.success:
+                    raise EmbodiedActiveLearningError(f"the trainer gave no entropy: {answer.message}")
+                if answer.ready:
+                    return np.array(answer.log_std) if answer.learned else None
+                made = answer.updates

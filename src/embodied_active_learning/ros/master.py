@@ -1,0 +1,92 @@
+"""Whether the ROS master is there, and still knows this node."""
+
+from __future__ import annotations
+
+import http.client
+import sys
+import time
+from typing import Any
+from xmlrpc.client import Error as XmlRpcError
+from xmlrpc.client import ServerProxy, Transport
+
+import rosgraph
+import rospy
+
+from embodied_active_learning.ros.ticker import REPEAT_AFTER, Ticker
+from embodied_active_learning.ros.waits import awaiting
+
+PERIOD = 1.0
+"""Wall seconds between two looks."""
+TIMEOUT = 3.0
+"""Wall seconds within which a master answers."""
+
+_NO_ANSWER = (OSError, http.client.HTTPException, XmlRpcError)
+
+
+def wait_for_master() -> None:
+    """Return once the ROS master answers; say at once, and again every few seconds, that it does not.
+
+    To be called before init_node: rospy would wait there, too, but holding locks without which it cannot be ended.
+    """
+    uri = rosgraph.get_master_uri()
+    master = ServerProxy(uri, transport=_PunctualTransport())
+    say_at = time.monotonic()
+    while True:
+        try:
+            master.getPid("/waiting")
+            return
+        except _NO_ANSWER as error:
+            if time.monotonic() >= say_at:
+                # Not yet by the log, which a node has only when it has begun.
+                sys.stderr.write(f"waiting for the ROS master at {uri}: {error}\n")
+                say_at = time.monotonic() + REPEAT_AFTER
+        time.sleep(0.2)
+
+
+class MasterWatch:
+    """Ends this node when the master was restarted; says so, and waits, while the master cannot be reached.
+
+    A master that was restarted knows neither nodes nor parameters: nobody new would find this node, and it would find
+    nobody. A cable that was pulled breaks nothing that is connected.
+    """
+
+    def __init__(self) -> None:
+        self.lost = False
+        self._uri = rosgraph.get_master_uri()
+        self._master = ServerProxy(self._uri, transport=_PunctualTransport())
+        self._silence = ""
+        Ticker(PERIOD, self._look)
+
+    def _look(self) -> None:
+        if self._ask():
+            return
+        with awaiting(lambda: f"the ROS master at {self._uri}: {self._silence}", first_after=0.0):
+            while not rospy.is_shutdown() and not self._ask():
+                rospy.rostime.wallsleep(PERIOD)
+        if not rospy.is_shutdown():
+            rospy.loginfo("the ROS master at %s answers again", self._uri)
+
+    def _ask(self) -> bool:
+        """Whether the master has answered; the node is ended when the answer is that it does not know it."""
+        name = rospy.get_name()
+        try:
+            code, _, uri = self._master.lookupNode(name, name)
+        except _NO_ANSWER as error:
+            self._silence = str(error) or type(error).__name__
+            return False
+        if (code != 1 or uri != rospy.get_node_uri()) and not rospy.is_shutdown():
+            self.lost = True
+            reason = f"the ROS master at {self._uri} was restarted and does not know {name} any more"
+            rospy.logfatal("%s", reason)
+            rospy.signal_shutdown(reason)
+        return True
+
+
+class _PunctualTransport(Transport):
+    """Gives up when there is no answer in time."""
+
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        """A connection with a time limit."""
+        connection = super().make_connection(host)
+        connection.timeout = TIMEOUT
+        return connection

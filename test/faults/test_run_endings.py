@@ -1,0 +1,171 @@
+"""A whole run whose nodes are killed, frozen and ended one after the other: it stays lean, goes on, ends in time."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+import yaml
+
+from embodied_active_learning.resolve import resolve
+from embodied_active_learning.ros.ending import children
+from embodied_active_learning.session.checkpoints import load_latest
+from embodied_active_learning.session.session import Session
+from launching import ROOT, environment, launched, pid_of
+
+sys.path.insert(0, str(ROOT / "experiments"))
+
+import soak
+
+TINY = ROOT / "test" / "rostest" / "tiny.yaml"
+NODES = ("pybullet_arm", "trainer", "ergodic_planner", "fingerprinter", "monitor")
+LOOKS, PERIOD = 40, 0.4
+MEMORY = 4.0  # MB that a node may take more of during the second half of the looks
+IMAGE = 60 * 60 * 3 / 2**20  # MB of one of TINY's images
+
+
+class Run:
+    """A learning run whose nodes come back when they have crashed."""
+
+    def __init__(self, home, process, variables):
+        self.path = home / "run"
+        self.process = process
+        self.variables = variables
+        self._log = home / "launch.log"
+
+    @property
+    def said(self):
+        return self._log.read_text()
+
+    @property
+    def steps(self):
+        table = self.path / "exploration.csv"
+        return len(table.read_text().splitlines()) - 1 if table.exists() else 0
+
+    def pid(self, node):
+        return pid_of(node, self.process.pid)
+
+    def arm_stands_still(self):
+        command = ["rostopic", "echo", "-n1", "/arm/state"]
+        answer = subprocess.run(command, env=self.variables, capture_output=True, text=True, timeout=30, check=True)
+        state = next(yaml.safe_load_all(answer.stdout))
+        return max(abs(state[key]) for key in ("vx", "vy", "omega")) < 1e-4
+
+    def wait_for(self, condition, timeout=60):
+        ends_at = time.monotonic() + timeout
+        while not condition():
+            assert self.process.poll() is None, self.said
+            assert time.monotonic() < ends_at, self.said
+            time.sleep(0.05)
+
+    def wait_for_progress(self):
+        before = self.steps
+        self.wait_for(lambda: self.steps > before + 5)
+
+    def wait_for_another(self, node, former):
+        """Return once a node has come back as another process."""
+
+        def is_back():
+            try:
+                return self.pid(node) != former
+            except AssertionError:
+                return False
+
+        self.wait_for(is_back)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    home = tmp_path_factory.mktemp("run")
+    profile = yaml.safe_load(TINY.read_text())
+    profile["training"]["checkpoint_every"] = 60  # a trainer that comes back has little to make up for
+    (home / "profile.yaml").write_text(yaml.safe_dump(profile))
+    values = {"profile": home / "profile.yaml", "session_root": home, "session": "run", "steps": 20000}
+    arguments = [f"{name}:={value}" for name, value in {**values, "respawn": "true"}.items()]
+    variables = environment(home)
+    with launched(home, "learn.launch", *arguments, variables=variables) as process:
+        yield Run(home, process, variables)
+
+
+@contextmanager
+def frozen(process):
+    os.kill(process, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(process, signal.SIGCONT)
+
+
+def is_gone(process):
+    return soak.look(process) is None
+
+
+def end(process, sig):
+    """Send a signal -> how long the process took to end, in seconds; it is given ten."""
+    began = time.monotonic()
+    os.kill(process, sig)
+    while not is_gone(process) and time.monotonic() < began + 10.0:
+        time.sleep(0.02)
+    return time.monotonic() - began
+
+
+def test_memory_handles_and_threads_of_every_node_stay_flat(run):
+    run.wait_for(lambda: run.steps > 80)  # learning has begun
+    tracks = {node: [] for node in NODES}
+    processes = {node: run.pid(node) for node in NODES}
+    for _ in range(LOOKS):
+        for node, track in tracks.items():
+            item = soak.look(processes[node])
+            images = IMAGE * run.steps if node == "trainer" else 0.0
+            track.append(soak.Look(item.time, item.memory - images, item.handles, item.threads))
+        time.sleep(PERIOD)
+    assert not any(soak.what_grows(track, MEMORY) for track in tracks.values()), soak.table(tracks)
+
+
+def test_a_run_goes_on_when_its_trainer_has_crashed(run):
+    former = run.pid("trainer")
+    os.kill(former, signal.SIGKILL)
+    run.wait_for_another("trainer", former)
+    run.wait_for_progress()
+
+
+def test_a_planner_ends_in_time_although_the_trainer_hangs(run):
+    planner = run.pid("ergodic_planner")
+    with frozen(run.pid("trainer")):
+        time.sleep(0.5)  # long enough for the planner to be waiting for it
+        assert end(planner, signal.SIGTERM) < 5.0
+    assert run.arm_stands_still()
+    run.wait_for_another("ergodic_planner", planner)
+    run.wait_for_progress()
+
+
+def test_a_planner_ends_in_time_although_the_arm_hangs(run):
+    planner = run.pid("ergodic_planner")
+    with frozen(run.pid("pybullet_arm")):
+        time.sleep(0.5)
+        assert end(planner, signal.SIGINT) < 5.0
+    run.wait_for_another("ergodic_planner", planner)
+    run.wait_for_progress()
+
+
+def test_z_a_run_that_is_interrupted_leaves_a_checkpoint_and_nothing_else(run):
+    processes = {node: run.pid(node) for node in NODES}
+    grandchildren = [child for process in processes.values() for child in children(process)]
+    began = time.monotonic()
+    run.process.send_signal(signal.SIGINT)
+    while not all(map(is_gone, processes.values())):
+        left = [node for node, process in processes.items() if not is_gone(process)]
+        assert time.monotonic() < began + 5.0, f"{left} did not end in time\n{run.said}"
+        time.sleep(0.02)
+    assert all(map(is_gone, grandchildren))
+    run.process.wait(30)
+    assert "Traceback" not in run.said
+    checkpoint = load_latest(run.path / "checkpoints")
+    session = Session.open_read_only(run.path)
+    assert checkpoint.counters["updates"] == session.read_table("training")["update"][-1] > 0
+    assert len(session.open_observations()) >= run.steps > 80
+    # Nobody holds it any more, and nothing keeps it from going on.
+    resolve("", [f"session/root={run.path.parent}", "session/name=run", "session/resume=true"])
