@@ -4,7 +4,7 @@
     roslaunch embodied_active_learning learn.launch steps:=3000 &
     python3 experiments/soak.py
 
-Follows them to their end, or for --seconds; prints a table, and exits 1 when something has grown. The first half is
+Follows them until everything is learned, or for --seconds; prints a table, and exits 1 when something has grown. The first half is
 warming up: what counts is the straight line through the second. The trainer keeps all images in memory, which is what
 it is for: they are subtracted.
 """
@@ -12,12 +12,13 @@ it is for: they are subtracted.
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import sys
 import threading
 import time
 import xmlrpc.client
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Dict, List, Optional, Sequence
 
@@ -86,20 +87,29 @@ def table(tracks: Dict[str, Sequence[Look]]) -> str:
     return "\n".join(lines)
 
 
+def write_csv(path: Path, tracks: Dict[str, Sequence[Look]]) -> None:
+    """Every look as a row."""
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["node", *(item.name for item in fields(Look))])
+        writer.writerows([node, *astuple(item)] for node, looks in tracks.items() for item in looks)
+
+
 class Follower:
     """Looks at the nodes of a namespace again and again."""
 
     def __init__(self, config: Config) -> None:
         self._image = config.camera.height * config.camera.width * 3 / 2**20  # [MB]
         self._observations = 0
+        self._ended = threading.Event()
         self._processes = {node: pid_of(node) for node in nodes_of(rospy.get_namespace())}
         self.tracks: Dict[str, List[Look]] = {node: [] for node in self._processes}
         rospy.Subscriber(names.TRAINING_STATUS, TrainingStatus, self._on_status, queue_size=1)
 
     def follow(self, period: float, seconds: float) -> None:
-        """Look every period [s], until the time is over or a node is gone."""
-        ended, ends_at = threading.Event(), time.monotonic() + seconds
-        rospy.on_shutdown(ended.set)
+        """Look every period [s], until the time is over, all is learned or a node is gone."""
+        ends_at = time.monotonic() + seconds
+        rospy.on_shutdown(self._ended.set)
         while time.monotonic() < ends_at:
             looks = {node: look(process) for node, process in self._processes.items()}
             if None in looks.values():
@@ -107,11 +117,13 @@ class Follower:
             for node, item in looks.items():
                 images = self._image * self._observations if node.endswith("/trainer") else 0.0
                 self.tracks[node].append(Look(item.time, item.memory - images, item.handles, item.threads))
-            if ended.wait(period):
+            if self._ended.wait(period):
                 return
 
     def _on_status(self, message: TrainingStatus) -> None:
         self._observations = message.observations
+        if message.finished:  # what follows, figures say, is done once
+            self._ended.set()
 
 
 def nodes_of(namespace: str) -> List[str]:
@@ -131,11 +143,14 @@ def main() -> None:
     """Follow the nodes and print what came out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--period", type=float, default=2.0, help="seconds between two looks")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="how long; default: to the nodes' end")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="how long; default: until all is learned")
+    parser.add_argument("--csv", type=Path, help="file for every single look")
     options = parser.parse_args(rospy.myargv()[1:])
     rospy.init_node("soak", anonymous=True)
     follower = Follower(read_config())
     follower.follow(options.period, options.seconds)
+    if options.csv:
+        write_csv(options.csv, follower.tracks)
     print(table(follower.tracks))
     looks = min(len(track) for track in follower.tracks.values())
     print(f"{looks} looks, every {options.period:g} s")
