@@ -45,6 +45,14 @@ class Run:
         table = self.path / "exploration.csv"
         return len(table.read_text().splitlines()) - 1 if table.exists() else 0
 
+    @property
+    def last_update(self):
+        return Session.open_read_only(self.path).read_table("training")["update"][-1]
+
+    @property
+    def checkpoint(self):
+        return load_latest(self.path / "checkpoints")
+
     def pid(self, node):
         return pid_of(node, self.process.pid)
 
@@ -132,6 +140,15 @@ def test_a_run_goes_on_when_its_trainer_has_crashed(run):
     run.wait_for_progress()
 
 
+def test_a_trainer_ends_with_a_checkpoint_although_the_master_hangs(run):
+    trainer = run.pid("trainer")
+    with frozen(run.pid("rosmaster")):
+        assert end(trainer, signal.SIGTERM) < 5.0
+        assert run.last_update == run.checkpoint.counters["updates"] > 0
+    run.wait_for_another("trainer", trainer)
+    run.wait_for_progress()
+
+
 def test_a_planner_ends_in_time_although_the_trainer_hangs(run):
     planner = run.pid("ergodic_planner")
     with frozen(run.pid("trainer")):
@@ -163,9 +180,7 @@ def test_z_a_run_that_is_interrupted_leaves_a_checkpoint_and_nothing_else(run):
     assert all(map(is_gone, grandchildren))
     run.process.wait(30)
     assert "Traceback" not in run.said
-    checkpoint = load_latest(run.path / "checkpoints")
-    session = Session.open_read_only(run.path)
-    assert checkpoint.counters["updates"] == session.read_table("training")["update"][-1] > 0
-    assert len(session.open_observations()) >= run.steps > 80
+    assert run.last_update == run.checkpoint.counters["updates"] > 0
+    assert len(Session.open_read_only(run.path).open_observations()) >= run.steps > 80
     # Nobody holds it any more, and nothing keeps it from going on.
     resolve("", [f"session/root={run.path.parent}", "session/name=run", "session/resume=true"])
