@@ -104,6 +104,8 @@ def load_world(name_or_path: str, workspace: Workspace) -> World:
 def find_world(name_or_path: str) -> Path:
     """The file of a shipped world by name, or the path itself. Raises WorldError with the nearest known name."""
     path = Path(os.path.expanduser(name_or_path))
+    if "\0" in name_or_path:
+        raise WorldError(f"simulation/world is {name_or_path!r}, and no such file can be: give another one")
     if path.suffix in (".yaml", ".yml"):
         return path.absolute()
     known = world_names()

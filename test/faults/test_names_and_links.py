@@ -1,0 +1,184 @@
+"""Names that come with requests: no name leads out of the folder of the sessions, and what is refused says the rule."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sample_session import NAME, configuration, make_sample
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
+from embodied_active_learning.identification_run import MOST_SESSIONS, IdentificationRun, check_results, read_sets
+from embodied_active_learning.resolve import resolve
+from embodied_active_learning.session.fingerprints import load_fingerprints
+from embodied_active_learning.session.identifications import identification_folder, load_identification
+from embodied_active_learning.session.names import LONGEST_NAME, check_name
+from embodied_active_learning.session.session import check_session, find_session
+
+ILLEGAL = [
+    "", ".", "..", "...", "../../etc/x", "/etc/passwd", "a/b", "a/../b", "-x", "--help", "_a", ".hidden", "a.b", "A",
+    "a b", "a\n", "\na", "a\x00b", "\x00", "ä", "а", "a\u202eb", "~", "~root", "$HOME", "a;b", "a*", "con:", "a\\b",
+    "x" * 65, "x" * 10_000, "../" * 3000,
+]  # fmt: skip
+NAMED = pytest.mark.parametrize("name", ILLEGAL, ids=lambda name: ascii(name[:20]))
+RULE = r"give 1 to 64 of a-z, 0-9, '_' and '-', beginning with a letter or a digit"
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    root = tmp_path_factory.mktemp("home") / "root"
+    make_sample(root)
+    return root
+
+
+def everything_below(folder):
+    return sorted(str(path) for path in folder.rglob("*"))
+
+
+def uses_of(root, name):
+    """Every place where a name that somebody gives becomes a path."""
+    path = root / NAME
+    return {
+        "sessions": lambda: read_sets(root, [NAME, name]),
+        "replay": lambda: find_session(root, name, "replay"),
+        "results": lambda: check_results(path, name, overwrite=True),
+        "folder": lambda: identification_folder(path, name),
+        "decisions": lambda: load_identification(path, name),
+        "session": lambda: check_session(replace_name(root, name)),
+    }
+
+
+def replace_name(root, name):
+    config = configuration(root)
+    return replace(config, session=replace(config.session, name=name))
+
+
+@NAMED
+@pytest.mark.parametrize("use", ["sessions", "replay", "results", "folder", "decisions", "session"])
+def test_an_illegal_name_is_refused_with_the_rule_before_anything_is_looked_at(root, name, use):
+    before = everything_below(root.parent)
+    with pytest.raises(SessionError, match=RULE) as refused:
+        uses_of(root, name)[use]()
+    assert len(str(refused.value)) < 400
+    assert everything_below(root.parent) == before
+
+
+@given(st.text(max_size=70))
+@settings(max_examples=300, deadline=None, derandomize=True)
+def test_a_name_is_legal_exactly_by_the_rule(name):
+    if re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name) and name.isascii():
+        assert check_name(name) == name
+    else:
+        with pytest.raises(SessionError, match=RULE):
+            check_name(name)
+
+
+@pytest.mark.parametrize("name", [None, 3, b"a", ["a"], True])
+def test_what_is_no_text_is_no_name(name):
+    with pytest.raises(SessionError, match=RULE):
+        check_name(name)
+
+
+def test_an_unknown_name_is_answered_with_those_there_are(root):
+    for attempt in (lambda: find_session(root, "other", "replay"), lambda: read_sets(root, ["other"])):
+        with pytest.raises(SessionError, match=rf"is 'other', and there is none .* in {root}; there are: {NAME}$"):
+            attempt()
+
+
+def test_no_session_and_too_many_are_refused(root):
+    with pytest.raises(SessionError, match="name one at least"):
+        read_sets(root, [])
+    with pytest.raises(SessionError, match=f"{MOST_SESSIONS + 1} sessions were named: name {MOST_SESSIONS} at most"):
+        read_sets(root, [f"s{number}" for number in range(MOST_SESSIONS + 1)])
+    assert len(read_sets(root, [NAME] * 100)) == 1
+
+
+def test_a_session_that_is_a_link_out_of_the_root_is_not_read(root, tmp_path):
+    make_sample(tmp_path)
+    (root / "away").symlink_to(tmp_path / NAME)
+    try:
+        for attempt in (lambda: find_session(root, "away"), lambda: read_sets(root, ["away"])):
+            with pytest.raises(SessionError, match=rf"away leads out of {root}, to {tmp_path / NAME}"):
+                attempt()
+        with pytest.raises(SessionError, match="exists but is no session of this package"):
+            check_session(configuration(root, name="away", resume=True))
+    finally:
+        (root / "away").unlink()
+
+
+@pytest.mark.parametrize("target", ["away", ".", "missing"])
+def test_a_link_that_leads_round_or_nowhere_is_refused(root, target):
+    (root / "away").symlink_to(root / target)
+    try:
+        with pytest.raises(EmbodiedActiveLearningError, match="away|config.yaml is missing"):
+            read_sets(root, ["away"])
+    finally:
+        (root / "away").unlink()
+
+
+def test_a_link_to_another_session_of_the_same_root_and_a_linked_root_are_as_good(root, tmp_path):
+    (root / "latest").symlink_to(NAME)
+    (tmp_path / "root").symlink_to(root)
+    try:
+        assert find_session(root, "latest").samefile(root / NAME)
+        assert read_sets(tmp_path / "root", [NAME])[0].session == NAME
+    finally:
+        (root / "latest").unlink()
+
+
+def test_results_are_replaced_only_when_that_is_asked_for(root):
+    config = configuration(root)
+    found = [load_fingerprints(root / NAME)]
+    decisions = root / NAME / "identification" / "first" / "decisions.yaml"
+    before = decisions.read_bytes()
+    with pytest.raises(SessionError, match=r"there are results in .*/first: choose another name, or ask for overwrite"):
+        IdentificationRun(root / NAME, found, "first", 0, config.identification)
+    assert decisions.read_bytes() == before
+    run = IdentificationRun(root / NAME, found, "first", 0, config.identification, overwrite=True)
+    run.close()
+    IdentificationRun(root / NAME, found, "second", 0, config.identification).close()
+
+
+def test_results_that_were_not_finished_may_be_replaced(root):
+    folder = root / NAME / "identification" / "half"
+    folder.mkdir()
+    (folder / "beliefs.safetensors").write_bytes(b"half")
+    check_results(root / NAME, "half", overwrite=False)
+
+
+def test_names_that_are_made_are_legal_whatever_they_are_made_of(tmp_path):
+    world = tmp_path / f"{'My Table (2) äß' * 8}.yaml"
+    world.write_text("objects: {}\n")
+    given_ = {
+        "session/root": tmp_path, "simulation/world": world, "exploration/seed": 2**31 - 1,
+        "exploration/explorer": "uniform_ergodic",
+    }  # fmt: skip
+    name = resolve("demo", [f"{key}={value}" for key, value in given_.items()]).session.name
+    assert check_name(name).startswith("my-table-2")
+    assert len(name) <= LONGEST_NAME
+
+
+@pytest.mark.parametrize("root", ["~nobody-of-that-name/x", "a\x00b"])
+def test_a_root_that_cannot_be_is_refused(root):
+    config = Config.from_dict({"session": {"root": root, "name": "a"}})
+    with pytest.raises(SessionError, match="session/root is"):
+        check_session(config)
+
+
+@pytest.mark.parametrize("root", ["/dev/null/x", "/proc/self/x", "/" + "x" * 300, "/" + "x/" * 3000])
+def test_a_root_where_nothing_can_be_written_is_refused(root):
+    with pytest.raises(SessionError, match=r"session/root|cannot be"):
+        check_session(Config.from_dict({"session": {"root": root, "name": "a"}}))
+
+
+@pytest.mark.parametrize(
+    "world", ["a\x00b.yaml", "/" + "x" * 5000 + ".yaml", "~nobody/x.yaml", "/dev/zero.yaml", ".yaml"]
+)
+def test_a_world_or_profile_whose_path_cannot_be_is_refused(tmp_path, world):
+    for profile, overrides in (("demo", [f"simulation/world={world}"]), (world, [])):
+        with pytest.raises(EmbodiedActiveLearningError):
+            resolve(profile, [f"session/root={tmp_path}", "session/name=a", *overrides])
