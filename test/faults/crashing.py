@@ -18,7 +18,8 @@ from embodied_active_learning.session.session import Session
 from launching import environment, started
 
 EVERYTHING = "everything"
-TABLES = ("exploration", "training", "evaluation")
+NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
+MEAN_WAIT = 4.0  # s between two kills: some come while nodes are still starting
 
 
 class Crash(NamedTuple):
@@ -97,11 +98,12 @@ def crash(
         with started(command, home / f"launch-{len(crashes)}.log", variables) as launch:
             while launch.poll() is None:
                 assert time.monotonic() < ends_at, f"the run did not end in {timeout:g} s: {crashes}"
-                _wait(launch, draw.expovariate(1.0 / 2.5) if len(crashes) < kills else 1.0)
+                _wait(launch, draw.expovariate(1.0 / MEAN_WAIT) if len(crashes) < kills else 1.0)
                 processes = processes_of(launch.pid)
-                if launch.poll() is not None or len(crashes) >= kills or not processes:
+                present = [name for name in NODES if name in processes]
+                if launch.poll() is not None or len(crashes) >= kills or len(present) < 2:
                     continue
-                victim = draw.choice([*sorted(set(processes) - {"master"}), EVERYTHING])
+                victim = draw.choice([*present, EVERYTHING])
                 before = acknowledged(path)
                 kill_everything(launch) if victim == EVERYTHING else kill(processes[victim])
                 stored = stored_observations(path)

@@ -10,7 +10,7 @@ from typing import Callable
 import rospy
 
 from embodied_active_learning.errors import CommandError
-from embodied_active_learning.ros.node import Ticker
+from embodied_active_learning.ros.ticker import Ticker
 
 SIGNS_OF_LIFE = 3
 """Sent in the time after which the arm takes its commander for dead."""
