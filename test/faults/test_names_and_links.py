@@ -21,7 +21,8 @@ from sample_session import NAME, configuration, make_sample
 
 ILLEGAL = [
     "", ".", "..", "...", "../../etc/x", "/etc/passwd", "a/b", "a/../b", "-x", "--help", "_a", ".hidden", "a.b", "A",
-    "a b", "a\n", "\na", "a\x00b", "\x00", "ä", "\u0430", "a\u202eb", "~", "~root", "$HOME", "a;b", "a*", "con:", "a\\b",
+    "a b", "a\n", "\na", "a\x00b", "\x00", "ä", "\u0430", "a\u202eb", "~", "~root", "$HOME", "a;b", "a*", "con:",
+    "a\\b",
     "x" * 65, "x" * 10_000, "../" * 3000,
 ]  # fmt: skip
 NAMED = pytest.mark.parametrize("name", ILLEGAL, ids=lambda name: ascii(name[:20]))
