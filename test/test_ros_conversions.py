@@ -11,7 +11,7 @@ from sensor_msgs import point_cloud2
 
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.ros import conversions
-from embodied_active_learning.ros.posed_camera import interpolate
+from embodied_active_learning.ros.pose_track import interpolate
 from embodied_active_learning.workspace import Workspace
 
 STAMP = rospy.Time(12, 345)
