@@ -53,7 +53,7 @@ class ImageTrack:
         stamp = image.header.stamp
         self._arrived += 1
         self._repeats = self._repeats + 1 if last is not None and last.header.stamp == stamp else 0
-        if last is None or stamp < last.header.stamp or image.data != last.data:
+        if last is None or image.data != last.data:
             self._same_since = self._origin = None
         if self._same_since is None and not self._repeats:
             age = (now - stamp).to_sec()
