@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sample_session import NAME, configuration, make_sample
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
@@ -17,12 +18,11 @@ from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.names import LONGEST_NAME, check_name
 from embodied_active_learning.session.session import check_session, find_session
-from sample_session import NAME, configuration, make_sample
 
 ILLEGAL = [
     "", ".", "..", "...", "../../etc/x", "/etc/passwd", "a/b", "a/../b", "-x", "--help", "_a", ".hidden", "a.b", "A",
-    "a b", "a\n", "\na", "a\x00b", "\x00", "ä", "\u0430", "a\u202eb", "~", "~root", "$HOME", "a;b", "a*", "con:",
-    "a\\b",
+    "a b", "a\n", "\na", "a\x00b", "\x00", "ä", "\u0430", "a\u202eb",
+    "~", "~root", "$HOME", "a;b", "a*", "con:", "a\\b",
     "x" * 65, "x" * 10_000, "../" * 3000,
 ]  # fmt: skip
 NAMED = pytest.mark.parametrize("name", ILLEGAL, ids=lambda name: ascii(name[:20]))

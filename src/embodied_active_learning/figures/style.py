@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from embodied_active_learning.session.atomic import write_bytes
+from embodied_active_learning.session.atomic import make_folder, write_bytes
 
 # Okabe and Ito's palette, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -78,7 +78,7 @@ def spread(count: int, most: int) -> np.ndarray:
 def save(figure: Figure, path: Path) -> Path:
     """Write the figure as PNG, atomically, creating its folder. -> path."""
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=_DOTS_PER_INCH)
     write_bytes(path, picture.getvalue())

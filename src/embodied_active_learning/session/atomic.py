@@ -46,6 +46,26 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder that is there after a power failure too. Raises SessionError when the disk or its rights forbid."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        sync_folder(folder.parent)
+    except OSError as error:
+        raise SessionError(
+            f"{folder} cannot be made ({error.strerror}): free some of the disk, mend its rights, or choose "
+            "another folder"
+        ) from error
+
+
+def remove_file(path: Path) -> None:
+    """Delete a file, if it is there. Raises SessionError when the disk or its rights forbid."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise SessionError(f"{path} cannot be deleted ({error.strerror}): mend the rights of its folder") from error
+
+
 def sync_folder(folder: Path) -> None:
     """Bring the names in a folder to the disk: without it a renamed file can be lost with the power."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

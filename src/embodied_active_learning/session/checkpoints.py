@@ -9,10 +9,10 @@ from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 import torch
 
-from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.reading import FileReader
 from embodied_active_learning.session.array_files import READER
-from embodied_active_learning.session.atomic import remove_leftovers
+from embodied_active_learning.session.atomic import make_folder, remove_leftovers
 from embodied_active_learning.session.names import stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
@@ -39,10 +39,7 @@ def save_checkpoint(
     """
     folder = Path(folder)
     stays_inside(folder.parent, folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SessionError(f"{folder} cannot be created ({error.strerror}): free some disk space") from error
+    make_folder(folder)
     remove_leftovers(folder)
     path = folder / f"checkpoint_{updates:09d}.safetensors"
     write_tensors(path, "checkpoint", tensors, {"updates": updates, "counters": counters})

@@ -17,7 +17,7 @@ import torch
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.objects.identification import Decision, Identification
 from embodied_active_learning.reading import LARGEST_YAML, FileReader, plain_types
-from embodied_active_learning.session.atomic import remove_leftovers, write_text
+from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
 from embodied_active_learning.session.names import SessionPaths, check_name, stays_inside
 from embodied_active_learning.session.sealed_yaml import check_version, remove_seal, sealed_text
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
@@ -69,15 +69,10 @@ def save_identification(
     text = sealed_text({"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows})
     if len(text) > LARGEST_YAML:
         raise SessionError(f"{len(rows)} decisions would not be read back from {folder}: look for fewer fingerprints")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(folder)
-        for stale in (folder / DECISIONS_FILE, *folder.glob("*.png")):
-            stale.unlink(missing_ok=True)
-    except OSError as error:
-        raise SessionError(
-            f"{folder} cannot be written ({error.strerror}): free some space, or mend its rights"
-        ) from error
+    make_folder(folder)
+    remove_leftovers(folder)
+    for stale in (folder / DECISIONS_FILE, *folder.glob("*.png")):
+        remove_file(stale)
     write_tensors(folder / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
     write_tensors(folder / TRACE_FILE, "trace", _trace(identification), facts)
     write_text(folder / TABLE_FILE, _table(rows))

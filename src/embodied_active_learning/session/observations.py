@@ -14,7 +14,7 @@ from typing import NamedTuple, Optional, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, ObservationError, SessionError
-from embodied_active_learning.session.atomic import sync_folder
+from embodied_active_learning.session.atomic import make_folder
 from embodied_active_learning.session.record_file import RecordFile
 from embodied_active_learning.session.records import RecordLayout
 from embodied_active_learning.workspace import Workspace
@@ -208,19 +208,11 @@ def _own_layout(folder: Path, image_shape: Tuple[int, ...]) -> RecordLayout:
     """The layout of a store that is to be written; a new store gets its files here."""
     path, data = folder / LAYOUT_FILE, folder / DATA_FILE
     if not os.path.lexists(path) and not os.path.lexists(data):
-        _make_folder(folder)
+        make_folder(folder)
         RecordLayout(image_shape).save(path)
     layout = RecordLayout.load(path)
     _check_shape(path, layout, image_shape)
     return layout
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        sync_folder(folder.parent)
-    except OSError as error:
-        raise SessionError(f"{folder} cannot be created ({error.strerror}): free some disk space") from error
 
 
 def _check_shape(path: Path, layout: RecordLayout, image_shape: Tuple[int, ...]) -> None:

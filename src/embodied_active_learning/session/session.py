@@ -11,7 +11,7 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.session import lock
-from embodied_active_learning.session.atomic import is_leftover, remove_leftovers, sync_folder
+from embodied_active_learning.session.atomic import is_leftover, make_folder, remove_file, remove_leftovers
 from embodied_active_learning.session.description import (
     changed_keys,
     is_description,
@@ -49,12 +49,12 @@ class Session:
         Raises SessionError as check_session does.
         """
         path = check_session(config)
-        _make_folder(path)
+        make_folder(path)
         held = lock.acquire(path / LOCK_FILE)
         try:
             _check_folder(path, config)  # again, now that nobody else can change it
             remove_leftovers(path)
-            _remove_summary(path / SUMMARY_FILE)  # a run that goes on is not finished
+            remove_file(path / SUMMARY_FILE)  # a run that goes on is not finished
             write_description(path / CONFIG_FILE, config)
         except BaseException:
             held.close()
@@ -188,18 +188,3 @@ def _is_new(path: Path) -> bool:
     if not path.is_dir() or path.is_symlink():
         return not (path.exists() or path.is_symlink())
     return all(entry.name == LOCK_FILE or is_leftover(entry.name) for entry in path.iterdir())
-
-
-def _remove_summary(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise SessionError(f"{path} cannot be removed ({error.strerror}), which says that the run is over") from error
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise SessionError(f"{path} cannot be created ({error.strerror}): choose another session/root") from error

@@ -1,0 +1,272 @@
+"""A disk that is full or read-only: a named error, and everything that was acknowledged before is there and loads."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+from contextlib import ExitStack
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sample_session import KINDS, NAME, configuration, fingerprints, make_sample, network, observation
+from small_disk import SmallDisk, enter_own_mounts
+
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.figures.fingerprints import draw_fingerprints
+from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.session import disk as disk_module
+from embodied_active_learning.session.atomic import is_leftover
+from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
+from embodied_active_learning.session.disk import free_bytes
+from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
+from embodied_active_learning.session.identifications import load_identification, save_identification
+from embodied_active_learning.session.session import Session, check_session
+from embodied_active_learning.session.summary import read_summary, summarise, write_summary
+from embodied_active_learning.training_run import TrainingRun
+
+STORED = [kind for kind in KINDS if not kind.path.startswith("people")]
+
+
+@pytest.fixture(scope="module")
+def own_mounts():
+    enter_own_mounts()
+
+
+@pytest.fixture
+def small_disk(own_mounts, tmp_path, monkeypatch):
+    made = SmallDisk(tmp_path / "disk", kilobytes=600)
+    monkeypatch.setattr(disk_module, "SPARE_BYTES", 0)
+    yield made
+    made.remove()
+
+
+@pytest.fixture
+def sample(small_disk):
+    return make_sample(small_disk.folder)
+
+
+def contents(path):
+    return {kind.path: kind.read(path) for kind in STORED}
+
+
+def leftovers(path):
+    return [entry.name for entry in path.rglob("*") if is_leftover(entry.name)]
+
+
+def write_checkpoint(session):
+    tensors = {f"network/{name}": tensor for name, tensor in network(session.config).state_dict().items()}
+    save_checkpoint(session.paths.checkpoints, 7, tensors, {"updates": 7})
+
+
+def write_model(session):
+    save_model(session.paths.model, network(session.config).state_dict(), {"updates": 7, "observations": 4})
+
+
+def write_fingerprints(session):
+    save_fingerprints(session.paths.path, fingerprints(session.config, number=7))
+
+
+def write_identification(session):
+    config = session.config
+    sought = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)
+    _, _, state, image = observation(9)
+    sought.observe(state[None], image[None])
+    save_identification(session.paths.path, "second", sought, sought.decide(state[None], image[None]))
+
+
+def write_figure(session):
+    found = fingerprints(session.config)
+    draw_fingerprints(session.paths.figures / "fingerprints.png", found, [])
+
+
+def write_end(session):
+    write_summary(session.paths.summary, summarise(session, True, 99.0))
+
+
+WRITERS = [write_checkpoint, write_model, write_fingerprints, write_identification, write_figure, write_end]
+
+
+def refusal_of(write, session):
+    """The message that writing is refused with; empty when it is not."""
+    try:
+        write(session)
+    except SessionError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("leave", [0, 4096])
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
+def test_what_does_not_fit_is_refused_and_what_was_there_is_kept(small_disk, sample, write, leave):
+    session, before = Session.open_read_only(sample), contents(sample)
+    small_disk.fill(leave)
+    refusal = refusal_of(write, session)
+    assert leave or refusal  # a small file fits into one block
+    if refusal:
+        assert "No space left on device" in refusal
+        assert contents(sample) == before
+    assert leftovers(sample) == []
+    small_disk.free()
+    write(session)
+
+
+def test_observations_and_rows_before_and_after_a_full_disk_are_all_there(small_disk):
+    config = configuration(small_disk.folder)
+    with ExitStack() as held:
+        session = held.enter_context(Session.open_for_writing(config))
+        store = held.enter_context(session.open_observations())
+        table = held.enter_context(session.open_table("exploration"))
+        small_disk.fill(leave=16384)
+        stored = count_until_refused(
+            lambda number: store.append(*observation(number)),
+            r"record \d+ could not be stored \(No space left on device\): free some",
+        )
+        rows = count_until_refused(
+            lambda number: table.append({"step": number, "x": 1 / 3}),
+            r"exploration.csv cannot be written \(No space left on device\): free some",
+        )
+        assert 0 < stored < 200
+        assert 0 < rows < 2000
+        assert "No space left on device" in refusal_of(lambda _: store.append(*observation(stored)), session)
+        small_disk.free()
+        store.append(*observation(stored))
+        table.append({"step": rows})
+        small_disk.fill()
+    reader = Session.open_read_only(small_disk.folder / NAME)
+    with reader.open_observations() as seen:
+        assert len(seen) == stored + 1
+        assert all(np.array_equal(seen.images[index], observation(index)[3]) for index in range(stored + 1))
+    assert reader.read_table("exploration")["step"].tolist() == list(range(rows + 1))
+
+
+def count_until_refused(append, message):
+    """How many can be appended before that is refused with a message."""
+    for number in range(10_000):
+        refusal = refusal_of(append, number)
+        if refusal:
+            assert re.search(message, refusal)
+            return number
+    raise AssertionError("the disk was not full")
+
+
+def test_a_training_run_that_has_filled_the_disk_ends_with_the_reason_and_goes_on_when_there_is_space(small_disk):
+    config = configuration(small_disk.folder)
+    config = replace(
+        config,
+        exploration=replace(config.exploration, steps=12),
+        training=replace(config.training, checkpoint_every=5, evaluate_every=5),
+    )
+    with pytest.raises(SessionError, match="No space left on device"):
+        train(config, on_update=lambda report: small_disk.fill() if report.update == 12 else None)
+    last = load_latest(small_disk.folder / NAME / "checkpoints")
+    assert last.updates >= 10
+    assert last.refused == ()
+    assert leftovers(small_disk.folder) == []
+
+    small_disk.free()
+    resumed = replace(config, session=replace(config.session, resume=True))
+    assert train(resumed) == config.updates_planned
+    with Session.open_read_only(small_disk.folder / NAME).open_observations() as store:
+        assert len(store) == 12
+    assert contents_of_table(small_disk, "training") == list(range(1, config.updates_planned + 1))
+
+
+def train(config, on_update=lambda report: None):
+    """Make all updates of a run whose observations come at once. -> updates made."""
+    run, stop = TrainingRun(config), threading.Event()
+    try:
+        for index in range(config.exploration.steps):
+            run.observe(*observation(index))
+        run.train(stop, on_update, stop.set)
+        return run.updates
+    finally:
+        run.close()
+
+
+def contents_of_table(small_disk, name):
+    return Session.open_read_only(small_disk.folder / NAME).read_table(name)["update"].tolist()
+
+
+def test_a_new_session_on_a_full_disk_is_refused_and_leaves_nothing_behind(small_disk):
+    small_disk.fill()
+    for attempt in (check_session, Session.open_for_writing):
+        with pytest.raises(SessionError, match=r"needs about .* but 0.0 GB are free: free some"):
+            attempt(configuration(small_disk.folder))
+    assert [entry.name for entry in small_disk.folder.iterdir()] == ["filler"]
+
+
+def test_a_session_that_finds_the_disk_full_while_it_is_created_can_be_created_later(small_disk, monkeypatch):
+    monkeypatch.setattr(disk_module, "free_bytes", lambda path: 10**12)
+    small_disk.fill()
+    with pytest.raises(SessionError, match="No space left on device"):
+        Session.open_for_writing(configuration(small_disk.folder))
+    small_disk.free()
+    Session.open_for_writing(configuration(small_disk.folder)).close()
+    assert leftovers(small_disk.folder) == []
+
+
+def test_when_there_are_no_more_files_to_be_had_what_is_there_is_kept(small_disk, sample):
+    session, before = Session.open_read_only(sample), contents(sample)
+    with contextlib.suppress(OSError):
+        for number in range(1000):
+            (small_disk.folder / f"file-{number}").touch()
+    for write in (write_checkpoint, write_fingerprints, write_identification, write_figure, write_end):
+        with pytest.raises(SessionError, match="No space left on device"):
+            write(session)
+    assert contents(sample) == before
+    assert leftovers(sample) == []
+
+
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
+def test_nothing_is_changed_on_a_disk_that_is_read_only(small_disk, sample, write):
+    session, before = Session.open_read_only(sample), contents(sample)
+    small_disk.set_writable(False)
+    with pytest.raises(SessionError, match="Read-only file system"):
+        write(session)
+    assert contents(sample) == before
+
+
+def test_a_run_on_a_read_only_disk_is_refused_with_the_reason_before_anything(small_disk, sample):
+    small_disk.set_writable(False)
+    folder = small_disk.folder
+    for config in (
+        configuration(folder, resume=True),
+        configuration(folder, name="new"),
+        configuration(folder / "deeper" / "root", name="new"),
+    ):
+        for attempt in (check_session, Session.open_for_writing):
+            with pytest.raises(SessionError, match="is mounted read-only: mend that, or choose another session/root"):
+                attempt(config)
+    assert read_summary(sample / "summary.yaml").finished
+
+
+def test_a_disk_that_becomes_read_only_while_a_run_writes_is_named_and_loses_nothing(small_disk):
+    with Session.open_for_writing(configuration(small_disk.folder)) as session:
+        with session.open_observations() as store:
+            store.append(*observation(0))
+        with session.open_table("training") as table:
+            table.append({"update": 1})
+        write_checkpoint(session)
+        small_disk.set_writable(False)
+        for write in (session.open_observations, lambda: session.open_table("training"), lambda: write_model(session)):
+            with pytest.raises(SessionError, match="Read-only file system"):
+                write()
+    reader = Session.open_read_only(small_disk.folder / NAME)
+    assert reader.read_table("training")["update"].tolist() == [1]
+    assert load_latest(reader.paths.checkpoints).updates == 7
+    with reader.open_observations() as store:
+        assert len(store) == 1
+
+
+def test_free_space_is_told_where_a_folder_is_or_will_be(small_disk):
+    assert free_bytes(small_disk.folder / "not" / "yet") == free_bytes(small_disk.folder) > 500_000
+    small_disk.fill()
+    assert free_bytes(small_disk.folder) == 0
+
+
+def test_a_fingerprint_set_and_an_identification_load_from_a_full_disk(small_disk, sample):
+    small_disk.fill()
+    assert load_fingerprints(sample).fingerprints
+    assert load_identification(sample, "first").decisions
