@@ -1,0 +1,131 @@
+"""kill -9 at any moment: everything that was acknowledged is there and whole, and what was half written is gone."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sample_session import NAME, configuration, fingerprints, observation
+
+from embodied_active_learning.session.atomic import is_leftover
+from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint
+from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import read_summary
+
+ROUNDS = 60
+MOST_FILES = 13  # that a writer finishes before it is killed: two of each kind
+LONGEST_LEAVE = 0.01  # s that it then still has, in the middle of what comes next
+SCRIPT = Path(__file__).with_name("killed_writer.py")
+PARTS = ("observation", "row", "checkpoint", "model", "fingerprints", "summary")
+
+
+class Writers:
+    """Writers that live for a moment each, and what they said was written."""
+
+    def __init__(self, root: Path) -> None:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        command = [sys.executable, str(SCRIPT), str(root)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=environment
+        )
+        self._expect("ready")
+        self.acknowledged = {part: set() for part in PARTS}
+
+    def live(self, files: int, leave: float) -> None:
+        """Let one write so many files, and go on for some seconds, and kill it."""
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        child = self._expect("writer")
+        for _ in range(files):
+            self._note(*self._read())
+        time.sleep(leave)  # so that it is killed in the middle of something, which nobody can wait for
+        os.kill(child, signal.SIGKILL)
+        while self._note(*self._read()):
+            pass
+
+    def _note(self, what: str, number: int) -> bool:
+        """Whether the line was an acknowledgement, which is kept in mind."""
+        if what != "ended":
+            self.acknowledged[what].add(number)
+        return what != "ended"
+
+    def close(self) -> None:
+        """End the process that forks them."""
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+    def _expect(self, what: str) -> int:
+        said, number = self._read()
+        assert said == what
+        return number
+
+    def _read(self):
+        what, number = self._process.stdout.readline().split()
+        return what, int(number)
+
+
+@pytest.fixture
+def writers(tmp_path):
+    made = Writers(tmp_path)
+    yield made
+    made.close()
+
+
+def test_everything_that_was_acknowledged_is_whole_after_kill_9_at_any_moment(tmp_path, writers):
+    moments = random.Random(5)
+    for _ in range(ROUNDS):
+        writers.live(moments.randrange(MOST_FILES), moments.uniform(0.0, LONGEST_LEAVE))
+        check(tmp_path / NAME, writers.acknowledged)
+    assert all(len(numbers) > 10 for numbers in writers.acknowledged.values())
+    open_and_write_everything(tmp_path)
+    assert [path for path in tmp_path.rglob("*") if is_leftover(path.name)] == []
+
+
+def check(path, acknowledged):
+    """Whether every part is at least as new as was acknowledged, and whole."""
+    if not (path / "config.yaml").exists():
+        assert not any(acknowledged.values())
+        return
+    session = Session.open_read_only(path)
+    newest = {part: max(numbers, default=-1) for part, numbers in acknowledged.items()}
+    if newest["observation"] >= 0:
+        with session.open_observations() as store:
+            assert len(store) > newest["observation"]
+            assert all(np.array_equal(image, observation(index)[3]) for index, image in enumerate(store.images))
+    rows = session.read_table("training")
+    assert acknowledged["row"] <= set(rows["update"].tolist())
+    np.testing.assert_array_equal(rows["loss"], rows["update"] / 7)
+    if newest["checkpoint"] >= 0:
+        checkpoint = load_latest(session.paths.checkpoints)
+        number = checkpoint.counters["number"]
+        assert number >= newest["checkpoint"]
+        assert checkpoint.refused == ()
+        assert all((tensor == number).all() for tensor in checkpoint.tensors.values())
+    if newest["model"] >= 0:
+        tensors, facts = load_model(session.paths.model)
+        assert facts["updates"] >= newest["model"]
+        assert all((tensor == facts["updates"]).all() for tensor in tensors.values())
+    if newest["fingerprints"] >= 0:
+        found = load_fingerprints(path)
+        assert found.updates >= newest["fingerprints"]
+        expected = fingerprints(session.config, found.updates).fingerprints[0]
+        assert np.array_equal(found.fingerprints[0].images, expected.images)
+    if session.paths.summary.exists():  # it goes when a run goes on
+        read_summary(session.paths.summary)
+
+
+def open_and_write_everything(root):
+    """What the next run does, which clears away what was left half written."""
+    with Session.open_for_writing(configuration(root, resume=True)) as session:
+        last = load_latest(session.paths.checkpoints)
+        save_checkpoint(session.paths.checkpoints, last.updates + 1, last.tensors, last.counters)
+        save_fingerprints(session.paths.path, fingerprints(session.config))
