@@ -11,13 +11,13 @@ import sys
 from pathlib import Path
 
 import torch
-from sample_session import configuration, fingerprints, network, observation
 
 from embodied_active_learning.session import disk
 from embodied_active_learning.session.checkpoints import save_checkpoint, save_model
 from embodied_active_learning.session.fingerprints import save_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import summarise, write_summary
+from sample_session import configuration, fingerprints, network, observation
 
 
 def tell(what: str, number: int) -> None:

@@ -10,8 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sample_session import KINDS, NAME, configuration, fingerprints, make_sample, network, observation
-from small_disk import SmallDisk, enter_own_mounts
 
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.figures.fingerprints import draw_fingerprints
@@ -25,6 +23,8 @@ from embodied_active_learning.session.identifications import load_identification
 from embodied_active_learning.session.session import Session, check_session
 from embodied_active_learning.session.summary import read_summary, summarise, write_summary
 from embodied_active_learning.training_run import TrainingRun
+from sample_session import KINDS, NAME, configuration, fingerprints, make_sample, network, observation
+from small_disk import SmallDisk, enter_own_mounts
 
 STORED = [kind for kind in KINDS if not kind.path.startswith("people")]
 

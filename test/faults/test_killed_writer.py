@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_session import NAME, configuration, fingerprints, observation
 
 from embodied_active_learning.session.atomic import is_leftover
 from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
+from sample_session import NAME, configuration, fingerprints, observation
 
 ROUNDS = 60
 MOST_FILES = 13  # that a writer finishes before it is killed: two of each kind

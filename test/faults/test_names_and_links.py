@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sample_session import NAME, configuration, make_sample
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
@@ -18,6 +17,7 @@ from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.names import LONGEST_NAME, check_name
 from embodied_active_learning.session.session import check_session, find_session
+from sample_session import NAME, configuration, make_sample
 
 ILLEGAL = [
     "", ".", "..", "...", "../../etc/x", "/etc/passwd", "a/b", "a/../b", "-x", "--help", "_a", ".hidden", "a.b", "A",
