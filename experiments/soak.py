@@ -102,8 +102,8 @@ class Follower:
         self._image = config.camera.height * config.camera.width * 3 / 2**20  # [MB]
         self._observations = 0
         self._ended = threading.Event()
-        self._processes = {node: pid_of(node) for node in nodes_of(rospy.get_namespace())}
-        self.tracks: Dict[str, List[Look]] = {node: [] for node in self._processes}
+        self._processes: Dict[str, int] = {}
+        self.tracks: Dict[str, List[Look]] = {}
         rospy.Subscriber(names.TRAINING_STATUS, TrainingStatus, self._on_status, queue_size=1)
 
     def follow(self, period: float, seconds: float) -> None:
@@ -111,6 +111,7 @@ class Follower:
         ends_at = time.monotonic() + seconds
         rospy.on_shutdown(self._ended.set)
         while time.monotonic() < ends_at:
+            self._find_nodes()
             looks = {node: look(process) for node, process in self._processes.items()}
             if None in looks.values():
                 return
@@ -119,6 +120,11 @@ class Follower:
                 self.tracks[node].append(Look(item.time, item.memory - images, item.handles, item.threads))
             if self._ended.wait(period):
                 return
+
+    def _find_nodes(self) -> None:
+        for node in nodes_of(rospy.get_namespace()):
+            if node not in self._processes:
+                self._processes[node], self.tracks[node] = pid_of(node), []
 
     def _on_status(self, message: TrainingStatus) -> None:
         self._observations = message.observations
@@ -152,8 +158,7 @@ def main() -> None:
     if options.csv:
         write_csv(options.csv, follower.tracks)
     print(table(follower.tracks))
-    looks = min(len(track) for track in follower.tracks.values())
-    print(f"{looks} looks, every {options.period:g} s")
+    print(f"{max(map(len, follower.tracks.values()))} looks, every {options.period:g} s")
     sys.exit(any(what_grows(track) for track in follower.tracks.values()))
 
 

@@ -95,7 +95,9 @@ def run(tmp_path_factory):
     arguments = [f"{name}:={value}" for name, value in {**values, "respawn": "true"}.items()]
     variables = environment(home)
     with launched(home, "learn.launch", *arguments, variables=variables) as process:
-        yield Run(home, process, variables)
+        run = Run(home, process, variables)
+        run.wait_for(lambda: run.steps > 80)  # learning has begun
+        yield run
 
 
 @contextmanager
@@ -121,7 +123,6 @@ def end(process, sig):
 
 
 def test_memory_handles_and_threads_of_every_node_stay_flat(run):
-    run.wait_for(lambda: run.steps > 80)  # learning has begun
     tracks = {node: [] for node in NODES}
     processes = {node: run.pid(node) for node in NODES}
     for _ in range(LOOKS):
