@@ -29,7 +29,7 @@ from embodied_active_learning.msg import TrainingStatus
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.node import read_config
+from embodied_active_learning.ros.node import read_config, wait_until
 
 KINDS = ("memory", "handles", "threads")
 UNITS = {"memory": "MB", "handles": "", "threads": ""}
@@ -153,6 +153,8 @@ def main() -> None:
     parser.add_argument("--csv", type=Path, help="file for every single look")
     options = parser.parse_args(rospy.myargv()[1:])
     rospy.init_node("soak", anonymous=True)
+    parameter = rospy.resolve_name(names.CONFIG_PARAMETER)
+    wait_until(lambda: rospy.has_param(parameter), lambda: f"a launch that sets {parameter}")
     follower = Follower(read_config())
     follower.follow(options.period, options.seconds)
     if options.csv:
