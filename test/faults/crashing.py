@@ -19,7 +19,8 @@ from launching import environment, started
 
 EVERYTHING = "everything"
 NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
-MEAN_WAIT = 4.0  # s between two kills: some come while nodes are still starting
+STEPS_BETWEEN = (0, 1, 2, 4)  # steps that are made between two kills: some come while nodes are still starting
+LONGEST_WAIT = 2.0  # s after them
 
 
 class Crash(NamedTuple):
@@ -98,7 +99,10 @@ def crash(
         with started(command, home / f"launch-{len(crashes)}.log", variables) as launch:
             while launch.poll() is None:
                 assert time.monotonic() < ends_at, f"the run did not end in {timeout:g} s: {crashes}"
-                _wait(launch, draw.expovariate(1.0 / MEAN_WAIT) if len(crashes) < kills else 1.0)
+                if len(crashes) < kills:
+                    reached = acknowledged(path) + draw.choice(STEPS_BETWEEN)
+                    _wait(launch, lambda reached=reached: acknowledged(path) >= reached, ends_at)
+                _wait(launch, lambda: False, time.monotonic() + draw.uniform(0.0, LONGEST_WAIT))
                 processes = processes_of(launch.pid)
                 present = [name for name in NODES if name in processes]
                 if launch.poll() is not None or len(crashes) >= kills or len(present) < 2:
@@ -113,6 +117,7 @@ def crash(
     return crashes
 
 
-def _wait(process: subprocess.Popen, seconds: float) -> None:
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(seconds)
+def _wait(launch: subprocess.Popen, condition: Callable[[], bool], until: float) -> None:
+    """Return when the condition holds, the launch has ended, or the time has come."""
+    while launch.poll() is None and time.monotonic() < until and not condition():
+        time.sleep(0.02)
