@@ -46,6 +46,7 @@ class SimulatedArm:
         self._height = config.camera.distance
         self._max_duration = config.arm.max_duration
         self._limits = MotionLimits.from_config(config, _MARGIN)
+        # What the acceleration limit is kept against. With the joints' positions, all that the next step depends on.
         self._commanded = [0.0] * len(STATE_NAMES)
         self._body = PandaBody(config.simulation.physics_rate)
         try:
