@@ -4,9 +4,10 @@
     roslaunch embodied_active_learning learn.launch steps:=3000 &
     python3 experiments/soak.py
 
-Follows them until everything is learned, or for --seconds; prints a table, and exits 1 when something has grown. The
-first half is warming up: what counts is the straight line through the second. The trainer keeps all images in memory,
-which is what it is for: they are subtracted.
+Follows them until everything is learned, or for --seconds; prints a table, and exits 1 when something has grown. What
+counts is the straight line through the second half. The first is for warming up: it should be long enough for the
+trainer's first checkpoint (training/checkpoint_every), which takes memory that is kept. The trainer keeps all images in
+memory, which is what it is for: they are subtracted.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any, Callable
 
@@ -11,7 +10,7 @@ import rospy
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.ending import Deadline, ExitCode
+from embodied_active_learning.ros.ending import Deadline, ExitCode, leave
 from embodied_active_learning.ros.failure import count_start, report_failure
 from embodied_active_learning.ros.master import MasterWatch, wait_for_master
 from embodied_active_learning.ros.waits import REPEAT_AFTER, awaiting
@@ -36,7 +35,7 @@ def run_node(
         code = _run(name, body, needs_clock, always_required)
     finally:
         deadline.start()
-    sys.exit(code)
+    leave(code)
 
 
 def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool) -> ExitCode:
