@@ -8,19 +8,23 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Callable, Dict, List, NamedTuple
+from typing import Callable, Dict, Iterator, List, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.names import SessionPaths
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.session.session import Session
-from launching import environment, started
+from launching import ROOT, environment, started
 
 EVERYTHING = "everything"
+INTERRUPTION = "nothing, interrupted"
+TABLES = ("exploration.csv", "training.csv", "evaluation.csv")
+SHORT = ROOT / "test" / "rostest" / "short.yaml"
 NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
 STEPS_BETWEEN = (0, 1, 2, 4)  # steps that are made between two kills: some come while nodes are still starting
-LONGEST_WAIT = 2.0  # s after them
+LONGEST_WAIT = 0.4  # s after them
 
 
 class Crash(NamedTuple):
@@ -76,24 +80,44 @@ def acknowledged(path: Path) -> int:
     return len(Session.open_read_only(path).read_table("exploration")["step"])
 
 
+def learn_arguments(root: Path, **more: object) -> List[str]:
+    """Arguments of learn.launch for a short run in the session "run" below a folder."""
+    values = {"profile": SHORT, "session_root": root, "session": "run", "seed": 1, **more}
+    return [f"{name}:={value}" for name, value in values.items()]
+
+
+def outcome(path: Path) -> Dict[str, bytes]:
+    """What a whole run leaves behind, for comparison."""
+    weights, _ = load_model(SessionPaths(path).model)
+    tables = {name: (path / name).read_bytes() for name in TABLES}
+    return {**tables, **{name: tensor.numpy().tobytes() for name, tensor in weights.items()}}
+
+
+def is_finished(path: Path) -> bool:
+    """Whether a session has all that a whole run leaves behind."""
+    check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", path]
+    return subprocess.run(check, check=False, capture_output=True).returncode == 0
+
+
 def crash(
     home: Path,
     path: Path,
     arguments: List[str],
     kills: int,
     seed: int,
-    finished: Callable[[], bool],
     timeout: float,
-    say: Callable[[str], None] = print,
+    say: Callable[[str], object] = lambda text: None,
 ) -> List[Crash]:
     """Run learn.launch with these arguments to its end through so many kills -> what was killed.
 
-    home: folder for logs; path: of the session; finished: whether the session has what a whole run leaves behind.
-    Raises AssertionError when an acknowledged observation is lost, or the run does not end within timeout seconds.
+    home: folder for logs; path: of the session. Raises AssertionError when an acknowledged observation is lost, or the
+    run does not end within timeout seconds.
     """
     draw, crashes, ends_at = random.Random(seed), [], time.monotonic() + timeout
+    victims = _victims(draw)
+    victim = next(victims)
     variables = environment(home)
-    while not finished():
+    while not is_finished(path):
         resume = ["resume:=true"] if SessionPaths(path).config.is_file() else []
         command = ["roslaunch", "embodied_active_learning", "learn.launch", *arguments, *resume, "respawn:=true"]
         with started(command, home / f"launch-{len(crashes)}.log", variables) as launch:
@@ -104,17 +128,29 @@ def crash(
                     _wait(launch, lambda reached=reached: acknowledged(path) >= reached, ends_at)
                 _wait(launch, lambda: False, time.monotonic() + draw.uniform(0.0, LONGEST_WAIT))
                 processes = processes_of(launch.pid)
-                present = [name for name in NODES if name in processes]
-                if launch.poll() is not None or len(crashes) >= kills or len(present) < 2:
+                is_there = victim in processes or (victim not in NODES and "trainer" in processes)
+                if launch.poll() is not None or len(crashes) >= kills or not is_there:
                     continue
-                victim = draw.choice([*present, EVERYTHING])
                 before = acknowledged(path)
-                kill_everything(launch) if victim == EVERYTHING else kill(processes[victim])
+                if victim == EVERYTHING:
+                    kill_everything(launch)
+                elif victim == INTERRUPTION:
+                    launch.send_signal(signal.SIGINT)
+                    launch.wait(60)
+                else:
+                    kill(processes[victim])
                 stored = stored_observations(path)
                 assert stored >= before, f"{before} observations were acknowledged, {stored} are stored"
                 crashes.append(Crash(victim, stored))
                 say(f"{len(crashes)} of {kills}: killed {victim} at observation {stored}")
+                victim = next(victims)
     return crashes
+
+
+def _victims(draw: random.Random) -> Iterator[str]:
+    """What to kill next: everything in turn, in an order drawn anew each time."""
+    while True:
+        yield from draw.sample([*NODES, EVERYTHING, INTERRUPTION], len(NODES) + 2)
 
 
 def _wait(launch: subprocess.Popen, condition: Callable[[], bool], until: float) -> None:

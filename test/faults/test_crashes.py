@@ -1,0 +1,27 @@
+"""A run whose nodes are killed, interrupted and started again at random ends as if nothing had happened to it."""
+
+import pytest
+
+from crashing import NODES, crash, learn_arguments, outcome
+from launching import launch_to_the_end
+
+KILLS = len(NODES) + 2  # each node once, all at once, and Ctrl-C
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    home = tmp_path_factory.mktemp("undisturbed")
+    output = launch_to_the_end(home, "learn.launch", *learn_arguments(home))
+    assert "finished" in output
+    return outcome(home / "run")
+
+
+def test_a_run_that_is_killed_again_and_again_ends_like_one_that_was_left_alone(undisturbed, tmp_path):
+    crashes = crash(tmp_path, tmp_path / "run", learn_arguments(tmp_path), KILLS, seed=3, timeout=500)
+    assert len(crashes) == KILLS
+    assert len({each.victim for each in crashes}) == KILLS
+    found = outcome(tmp_path / "run")
+    for name, content in undisturbed.items():
+        assert found[name] == content, f"{name} differs after {crashes}"
+    for log in tmp_path.glob("launch-*.log"):
+        assert "other random draws" not in log.read_text()
