@@ -102,12 +102,8 @@ class FaultyArm:
             image.header.stamp = self._last_image.header.stamp
         if self.fault == "frozen picture":
             image.data = self._last_image.data
-        if self.fault == "late images":
-            image.header.stamp -= rospy.Duration(10.0)
         if self.fault == "images from the future":
             image.header.stamp += rospy.Duration(10.0)
-        if self.fault == "image of another encoding":
-            image.encoding = "16UC3"
         if self.fault == "image of one colour":
             image.data = bytes(len(image.data))
         if not self.fault:
@@ -186,7 +182,7 @@ class PlannerFaultsTest(unittest.TestCase):
         before = self.last.index
         self.wait_for(lambda: self.last.index > before + 2, "exploration did not go on")
 
-    def check_that_it_holds_still_and_recovers(self, fault, words, tries=2):
+    def check_that_it_holds_still_and_recovers(self, fault, words, tries=1):
         self.arm.fault = fault
         self.wait_for_words(words)
         stored, first = self.last.index, len(self.arm.commands)
@@ -213,18 +209,12 @@ class PlannerFaultsTest(unittest.TestCase):
     def test_images_of_one_colour(self):
         self.check_that_it_holds_still_and_recovers("image of one colour", "is of one single colour, [0, 0, 0]")
 
-    def test_images_that_come_late(self):
-        self.check_that_it_holds_still_and_recovers("late images", "come too late: the newest is 10.")
-
     def test_images_from_the_future(self):
         words = "s in the future: synchronise the computers' clocks"
         self.check_that_it_holds_still_and_recovers("images from the future", words)
 
     def test_images_of_another_size(self):
         self.check_that_it_holds_still_and_recovers("image of another size", "image is 64 x 48 pixels")
-
-    def test_images_of_another_encoding(self):
-        self.check_that_it_holds_still_and_recovers("image of another encoding", "encoding is '16UC3'")
 
     def test_a_silent_pose(self):
         self.check_that_it_holds_still_and_recovers("pose is silent", "no state on /arm/state around the image's stamp")
