@@ -183,6 +183,14 @@ def test_the_same_images_replayed_give_the_same_decisions(identified, fingerprin
     ]
 
 
+def test_a_replay_beside_a_running_system_leaves_its_configuration_alone(identified, fingerprinted):
+    arguments = identify_arguments(fingerprinted, replay="seen", name="again", images=0)
+    dump = ["roslaunch", "--dump-params", "embodied_active_learning", "identify.launch", *arguments]
+    parameters = yaml.safe_load(subprocess.run(dump, check=True, capture_output=True, text=True).stdout)
+    assert "/config" not in parameters
+    assert parameters["/identifier/config"]["session"]["name"] == "seen"
+
+
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [

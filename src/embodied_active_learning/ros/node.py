@@ -73,9 +73,12 @@ def _clock_is_there() -> bool:
 
 
 def read_config() -> Config:
-    """The configuration that the launch file has put on the parameter server. Raises ConfigError."""
+    """The configuration that the launch file has put on the parameter server: this node's own, or the system's.
+
+    Raises ConfigError.
+    """
     name = rospy.resolve_name(names.CONFIG_PARAMETER)
-    values = rospy.get_param(name, None)
+    values = rospy.get_param(f"~{names.CONFIG_PARAMETER}", None) or rospy.get_param(name, None)
     if values is None:
         raise ConfigError(f"parameter {name} is not set: start the node from one of the package's launch files")
     return Config.from_dict(values)
