@@ -55,7 +55,7 @@ class Learning:
 def learning(tmp_path_factory):
     """Learns the world diagonal; when asked for, it has just finished, after it was fingerprinted half way."""
     run = Learning(tmp_path_factory.mktemp("objects"))
-    arguments = [f"profile:={TINY}", f"session_root:={run.home}", "session:=tiny", "seed:=2", "stay:=true"]
+    arguments = [f"profile:={TINY}", f"session_root:={run.home}", "session:=tiny", "seed:=3", "stay:=true"]
     with launched(run.home, "learn.launch", *arguments, variables=run.variables) as process:
         run.process = process
         run.wait_for(lambda: run.rows() >= 350)
