@@ -1,14 +1,19 @@
-"""Forks writers that are there to be killed: one of everything in turn, and a line for each that was acknowledged.
+"""Forks writers that are there to be killed, and tells what each of them has written before.
 
-killed_writer.py ROOT: for every line on its input a writer is forked; its number is told, then what it has written, and
-"ended" when it was killed. Forked, because importing takes longer than a life.
+For every line on its input, "ROOT" or "ROOT PART BYTE", a writer is forked; its number is told, a line for each file that was
+acknowledged, and "ended" when it is dead. It writes one of every file in turn, until somebody kills it; or that part
+alone, and the kernel kills it when it writes beyond that byte of any file.
+Forked, because importing takes longer than a life.
 """
 
 from __future__ import annotations
 
 import os
+import resource
+import signal
 import sys
 from pathlib import Path
+from typing import Dict
 
 import torch
 
@@ -17,7 +22,9 @@ from embodied_active_learning.session.checkpoints import save_checkpoint, save_m
 from embodied_active_learning.session.fingerprints import save_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import summarise, write_summary
-from sample_session import configuration, fingerprints, network, observation
+from sample_session import NAME, configuration, fingerprints, network, observation
+
+PARTS = ("observation", "row", "checkpoint", "model", "fingerprints", "summary")
 
 
 def tell(what: str, number: int) -> None:
@@ -25,42 +32,83 @@ def tell(what: str, number: int) -> None:
     os.write(1, f"{what} {number}\n".encode())
 
 
-def write_for_ever(root: Path, resume: bool) -> None:
-    """Go on with the session, or begin it."""
-    config = configuration(root, resume=resume)
-    weights = network(config).state_dict()
-    session = Session.open_for_writing(config)
-    store, table = session.open_observations(), session.open_table("training")
-    while True:
-        number = len(store)
-        store.append(*observation(number))
-        tell("observation", number)
-        table.append({"update": number, "loss": number / 7})
-        tell("row", number)
-        counted = {name: torch.full_like(tensor, number) for name, tensor in weights.items()}
-        save_checkpoint(session.paths.checkpoints, number + 1, counted, {"number": number})
-        tell("checkpoint", number)
-        save_model(session.paths.model, counted, {"updates": number, "observations": number})
-        tell("model", number)
-        save_fingerprints(session.paths.path, fingerprints(config, number))
-        tell("fingerprints", number)
-        write_summary(session.paths.summary, summarise(session, False, number))
-        tell("summary", number)
+class Writer:
+    """Goes on with the session, or begins it."""
+
+    def __init__(self, root: Path) -> None:
+        self._config = configuration(root, resume=(root / NAME / "config.yaml").exists())
+        self._weights = network(self._config).state_dict()
+        self._session = Session.open_for_writing(self._config)
+        self._store = self._session.open_observations()
+        self._table = self._session.open_table("training")
+
+    def write(self, part: str) -> None:
+        """Write a part with the number of observations in it, and tell."""
+        number = len(self._store)
+        getattr(self, f"_write_{part}")(number)
+        tell(part, number)
+
+    def _write_observation(self, number: int) -> None:
+        self._store.append(*observation(number))
+
+    def _write_row(self, number: int) -> None:
+        self._table.append({"update": number, "loss": number / 7})
+
+    def _write_checkpoint(self, number: int) -> None:
+        save_checkpoint(self._session.paths.checkpoints, number + 1, self._numbered(number), {"number": number})
+
+    def _write_model(self, number: int) -> None:
+        facts = {"updates": number, "observations": number}
+        save_model(self._session.paths.model, self._numbered(number), facts)
+
+    def _write_fingerprints(self, number: int) -> None:
+        save_fingerprints(self._session.paths.path, fingerprints(self._config, number))
+
+    def _write_summary(self, number: int) -> None:
+        write_summary(self._session.paths.summary, summarise(self._session, False, number))
+
+    def _numbered(self, number: int) -> Dict[str, torch.Tensor]:
+        return {name: torch.full_like(tensor, number) for name, tensor in self._weights.items()}
 
 
-def main(root: Path) -> None:
+def live(root: Path, part: str = "", byte: str = "") -> None:
+    """The life of a forked writer."""
+    tell("writer", os.getpid())
+    if not part:
+        writer = Writer(root)
+        while True:
+            for each in PARTS:
+                writer.write(each)
+    if part == "config":
+        die_at_byte(int(byte))
+        Writer(root)
+    else:
+        writer = Writer(root)
+        die_at_byte(int(byte))
+        writer.write(part)
+
+
+def die_at_byte(byte: int) -> None:
+    """Be killed by the first write that goes beyond this byte of a file; what lies before it is written."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (byte, byte))
+    signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+
+
+def main() -> None:
     """Fork a writer for every line, and bury it."""
     torch.set_num_threads(1)
     disk.SPARE_BYTES = 0
     tell("ready", 0)
-    for _ in sys.stdin:
+    for line in sys.stdin:
         child = os.fork()
         if child == 0:
-            tell("writer", os.getpid())
-            write_for_ever(root, resume=(root / "sample" / "config.yaml").exists())
+            root, *wish = line.split()
+            live(Path(root), *wish)
+            os._exit(0)
         os.waitpid(child, 0)
         tell("ended", child)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -18,38 +18,59 @@ from embodied_active_learning.session.checkpoints import load_latest, load_model
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
+from killed_writer import PARTS
 from sample_session import NAME, configuration, fingerprints, observation
 
-ROUNDS = 60
+ROUNDS = 40
+DEATHS = 12  # of each part, at different bytes
 MOST_FILES = 13  # that a writer finishes before it is killed: two of each kind
 LONGEST_LEAVE = 0.01  # s that it then still has, in the middle of what comes next
+# Bytes of what is written of each part, as far as they are of interest.
+LARGEST = {
+    "config": 2500, "observation": 476, "row": 20, "checkpoint": 3000, "model": 2900, "fingerprints": 3000,
+    "summary": 250,
+}  # fmt: skip
 SCRIPT = Path(__file__).with_name("killed_writer.py")
-PARTS = ("observation", "row", "checkpoint", "model", "fingerprints", "summary")
 
 
 class Writers:
     """Writers that live for a moment each, and what they said was written."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self) -> None:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-        command = [sys.executable, str(SCRIPT), str(root)]
+        command = [sys.executable, str(SCRIPT)]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1, env=environment
         )
         self._expect("ready")
+
+    def begin_at(self, root: Path) -> None:
+        """Write below another folder from now on."""
+        self._root = root
         self.acknowledged = {part: set() for part in PARTS}
 
     def live(self, files: int, leave: float) -> None:
         """Let one write so many files, and go on for some seconds, and kill it."""
-        self._process.stdin.write("\n")
-        self._process.stdin.flush()
-        child = self._expect("writer")
+        child = self._begin()
         for _ in range(files):
             self._note(*self._read())
         time.sleep(leave)  # so that it is killed in the middle of something, which nobody can wait for
         os.kill(child, signal.SIGKILL)
         while self._note(*self._read()):
             pass
+
+    def die_at_byte(self, part: str, byte: int) -> bool:
+        """Let one write a part until it goes beyond a byte of a file. -> whether that has killed it."""
+        self._begin(part, str(byte))
+        finished = False
+        while self._note(*self._read()):
+            finished = True
+        return not finished
+
+    def _begin(self, *wish: str) -> int:
+        self._process.stdin.write(" ".join((str(self._root), *wish)) + "\n")
+        self._process.stdin.flush()
+        return self._expect("writer")
 
     def _note(self, what: str, number: int) -> bool:
         """Whether the line was an acknowledgement, which is kept in mind."""
@@ -73,11 +94,17 @@ class Writers:
         return what, int(number)
 
 
-@pytest.fixture
-def writers(tmp_path):
-    made = Writers(tmp_path)
+@pytest.fixture(scope="module")
+def forked():
+    made = Writers()
     yield made
     made.close()
+
+
+@pytest.fixture
+def writers(forked, tmp_path):
+    forked.begin_at(tmp_path)
+    return forked
 
 
 def test_everything_that_was_acknowledged_is_whole_after_kill_9_at_any_moment(tmp_path, writers):
@@ -86,6 +113,23 @@ def test_everything_that_was_acknowledged_is_whole_after_kill_9_at_any_moment(tm
         writers.live(moments.randrange(MOST_FILES), moments.uniform(0.0, LONGEST_LEAVE))
         check(tmp_path / NAME, writers.acknowledged)
     assert all(len(numbers) > 10 for numbers in writers.acknowledged.values())
+    open_and_write_everything(tmp_path)
+    assert [path for path in tmp_path.rglob("*") if is_leftover(path.name)] == []
+
+
+@pytest.mark.parametrize("part", ["config", *PARTS])
+def test_the_old_or_the_new_is_whole_after_a_death_at_any_byte(tmp_path, writers, part):
+    writers.live(len(PARTS), leave=0.0)
+    sizes = {
+        "observation": lambda: (tmp_path / NAME / "observations" / "observations.bin").stat().st_size,
+        "row": lambda: (tmp_path / NAME / "training.csv").stat().st_size,
+    }
+    bytes_, deaths = random.Random(6), 0
+    for _ in range(DEATHS):
+        begin = sizes[part]() if part in sizes else 0
+        deaths += writers.die_at_byte(part, begin + bytes_.randrange(LARGEST[part]))
+        check(tmp_path / NAME, writers.acknowledged)
+    assert deaths > DEATHS // 2
     open_and_write_everything(tmp_path)
     assert [path for path in tmp_path.rglob("*") if is_leftover(path.name)] == []
 
