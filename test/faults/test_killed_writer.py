@@ -130,6 +130,8 @@ def test_the_old_or_the_new_is_whole_after_a_death_at_any_byte(tmp_path, writers
         deaths += writers.die_at_byte(part, begin + bytes_.randrange(LARGEST[part]))
         check(tmp_path / NAME, writers.acknowledged)
     assert deaths > DEATHS // 2
+    writers.live(2 * len(PARTS), leave=0.0)
+    check(tmp_path / NAME, writers.acknowledged)
     open_and_write_everything(tmp_path)
     assert [path for path in tmp_path.rglob("*") if is_leftover(path.name)] == []
 
