@@ -1,8 +1,8 @@
 """Forks writers that are there to be killed, and tells what each of them has written before.
 
 For every line on its input, "ROOT" or "ROOT PART BYTE", a writer is forked; its number is told, a line for each file
-that was acknowledged, and "ended" when it is dead. It writes one of every file in turn, until somebody kills it; or that part
-alone, and the kernel kills it when it writes beyond that byte of any file.
+that was acknowledged, and "ended" when it is dead. It writes one of every file in turn, until somebody kills it; or
+that part alone, and the kernel kills it when it writes beyond that byte of any file.
 Forked, because importing takes longer than a life.
 """
 
