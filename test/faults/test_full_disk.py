@@ -15,11 +15,13 @@ from embodied_active_learning.errors import SessionError
 from embodied_active_learning.figures.fingerprints import draw_fingerprints
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.session import disk as disk_module
+from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import is_leftover
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.disk import free_bytes
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.identifications import load_identification, save_identification
+from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.session import Session, check_session
 from embodied_active_learning.session.summary import read_summary, summarise, write_summary
 from embodied_active_learning.training_run import TrainingRun
@@ -242,22 +244,18 @@ def test_a_run_on_a_read_only_disk_is_refused_with_the_reason_before_anything(sm
     assert read_summary(sample / "summary.yaml").finished
 
 
-def test_a_disk_that_becomes_read_only_while_a_run_writes_is_named_and_loses_nothing(small_disk):
-    with Session.open_for_writing(configuration(small_disk.folder)) as session:
-        with session.open_observations() as store:
-            store.append(*observation(0))
-        with session.open_table("training") as table:
-            table.append({"update": 1})
-        write_checkpoint(session)
-        small_disk.set_writable(False)
-        for write in (session.open_observations, lambda: session.open_table("training"), lambda: write_model(session)):
-            with pytest.raises(SessionError, match="Read-only file system"):
-                write()
-    reader = Session.open_read_only(small_disk.folder / NAME)
-    assert reader.read_table("training")["update"].tolist() == [1]
-    assert load_latest(reader.paths.checkpoints).updates == 7
-    with reader.open_observations() as store:
-        assert len(store) == 1
+def test_files_that_grow_are_refused_by_name_on_a_disk_that_has_become_read_only(small_disk, sample):
+    session, before = Session.open_read_only(sample), contents(sample)
+    box = session.config.workspace.box()
+    small_disk.set_writable(False)
+    for name, attempt in (
+        ("observations.bin", lambda: ObservationStore.open_for_writing(session.paths.observations, box, (12, 12, 3))),
+        ("training.csv", lambda: session.open_table("training")),
+        (".lock", lambda: lock.acquire(session.paths.lock)),
+    ):
+        with pytest.raises(SessionError, match=rf"{name} cannot be .* \(Read-only file system\)"):
+            attempt()
+    assert contents(sample) == before
 
 
 def test_free_space_is_told_where_a_folder_is_or_will_be(small_disk):
