@@ -15,6 +15,7 @@ from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
 from embodied_active_learning.model.objective import Arithmetic
+from embodied_active_learning.session.atomic import remove_file
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table
@@ -184,7 +185,7 @@ class TrainingRun:
         for reason in checkpoint.refused:
             LOG.warning("checkpoint refused: %s", reason)
         self._learner.restore(checkpoint.tensors, checkpoint.counters)
-        self._session.paths.model.unlink(missing_ok=True)  # it is older than what is learned from here on
+        remove_file(self._session.paths.model)  # it is older than what is learned from here on
 
     def _update(self) -> UpdateReport:
         report = self._learner.update()
@@ -192,11 +193,11 @@ class TrainingRun:
         training = self._config.training
         if report.update % training.evaluate_every == 0 or report.update == self._config.updates_planned:
             self._evaluation_table.append(dataclasses.asdict(self._learner.evaluate()))
-        if report.update % training.checkpoint_every == 0:
-            self._checkpoint()
         if report.update % training.updates_per_observation == 0:
             self._learner.refresh()
             self.wake()
+        if report.update % training.checkpoint_every == 0:
+            self._checkpoint()  # after the refresh, because it tells which model answers
         return report
 
     def _roll_back(self, error: DivergenceError) -> None:

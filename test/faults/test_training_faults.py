@@ -209,6 +209,53 @@ def test_stopping_anywhere_and_going_on_gives_the_same_answers_tables_and_weight
     assert outcome(whole.folder) == outcome(again.folder)
 
 
+@contextmanager
+def all_due_is_made(run, stop_at=None):
+    """The run with every update made that is due, or those before it was stopped at one; closed when the block ends."""
+    stop, answers = threading.Event(), threading.Event()
+
+    def on_update(report):
+        if report.update == stop_at:
+            stop.set()
+        if stop.is_set() or report.update == run.updates_due:
+            answers.set()
+
+    thread = threading.Thread(target=run.train, args=(stop, on_update, lambda: None))
+    thread.start()
+    try:
+        assert answers.wait(TIMEOUT)
+        yield
+    finally:
+        stop.set()
+        run.wake()
+        thread.join(TIMEOUT)
+        run.close()
+
+
+@pytest.mark.parametrize("behind", [1, 2, 3])
+def test_a_trainer_that_was_stopped_between_two_observations_answers_with_the_model_that_is_asked_for(tmp_path, behind):
+    count, states = 12, np.linspace(-0.1, 0.1, 12).reshape(4, 3)
+    config = configured("")
+    awaited = config.updates_awaited(count)
+
+    def begun(name, **session):
+        run = TrainingRun(configured(tmp_path / name, **session))
+        for index in range(run.observations, count):
+            run.observe(*observation(index))
+        return run
+
+    whole = begun("whole")
+    with all_due_is_made(whole):
+        expected = whole.log_std(states, awaited)
+    with all_due_is_made(begun("stopped"), stop_at=config.updates_due(count) - behind):
+        pass
+    again = begun("stopped", resume=True)
+    with all_due_is_made(again):
+        values, *rest = again.log_std(states, awaited)
+    assert rest == [awaited, True]
+    np.testing.assert_array_equal(values, expected[0])
+
+
 def finish_from(run, last):
     """Go on as a planner does: it asks again about the newest observation, which it may not have heard about."""
     answers = {}

@@ -153,6 +153,7 @@ class Learner:
             "updates": self.updates,
             "skipped": self.skipped,
             "rollbacks": self.rollbacks,
+            "snapshot_updates": self.snapshots.updates,
             "schedule": self.schedule.state_dict(),
             "generator": self._random.bit_generator.state,
         }
@@ -175,7 +176,9 @@ class Learner:
         self._random.bit_generator.state = counters["generator"]
         if earlier:
             self.snapshots.take(earlier, int(counters["earlier_updates"]))
-        self.refresh()
+        # A model between two refreshes answered nobody, and must not push out the one that is asked for.
+        if int(counters.get("snapshot_updates", self.updates)) == self.updates:
+            self.refresh()
 
     def roll_back(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
         """Go back to state() of a good model, and on from there with other random draws than before.
@@ -185,6 +188,8 @@ class Learner:
         skipped, rollbacks = self.skipped, self.rollbacks + 1
         self.restore(tensors, counters)
         self.skipped, self.rollbacks = skipped, rollbacks
+        if self.snapshots.updates > self.updates:
+            self.refresh()  # what was gone back from does not answer any more
         self._random = np.random.Generator(self._random.bit_generator.jumped(rollbacks))
 
     def _attempt(self, count: int, beta: float, gamma: float) -> Loss:
