@@ -19,6 +19,7 @@ from embodied_active_learning.errors import (
 )
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.ros import guided_arm
+from embodied_active_learning.ros.arm_client import Reached
 from embodied_active_learning.ros.conversions import state_message
 from embodied_active_learning.ros.diagnostics import ERROR, WARN, Health
 
@@ -54,12 +55,71 @@ class Arm:
         assert self.answers.wait(10.0)
         if self.failures:
             raise self.failures.pop(0)
-        return REACHED
+        return Reached(REACHED, np.empty(0))
+
+
+class SimulatedArm(Arm):
+    """Knows the time that it has moved for, which is also its memory, and who drives it; can be started anew."""
+
+    def __init__(self, camera):
+        super().__init__()
+        self._camera = camera
+        self._time = 0
+        self.is_driven = False
+        self.is_dead = False
+        self.stops_that_last = 0
+
+    def move(self, velocity, duration):
+        self._answer(("move", *velocity))
+        return self._advance()
+
+    def go_to(self, pose):
+        self._answer(("go_to", *pose))
+        return self._advance()
+
+    def restore(self, memory):
+        self._answer(("restore", *memory))
+        return self._be_at(int(memory[0]))
+
+    def stop(self):
+        self._answer(("stop",))
+        self.stops_that_last += not self.is_driven
+        self._advance()
+        self.is_driven = False
+
+    def keep(self):
+        return self.is_driven
+
+    def begin_anew(self):
+        self.is_dead, self.is_driven, self._time = False, False, 0
+        self._camera.see_time(0)
+
+    def _advance(self):
+        return self._be_at(self._time + 1)
+
+    def _be_at(self, time):
+        self._time, self.is_driven = time, True
+        self._camera.see_time(time)
+        state = state_message(rospy.Time(time), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
+        return Reached(state, np.array([float(time)]))
+
+    def _answer(self, told):
+        super()._answer(told)
+        if self.is_dead:
+            raise UnansweredError("it does not answer")
 
 
 class Camera:
+    restarts = 0
+    newest_state = None
+
     def __init__(self):
         self.failures = []
+
+    def see_time(self, time):
+        stamp = rospy.Time(time)
+        self.restarts += self.newest_state is not None and stamp < self.newest_state
+        self.newest_state = stamp
 
     def take(self, after):
         if self.failures:
@@ -85,6 +145,13 @@ def camera(monkeypatch):
 @pytest.fixture
 def guided(arm, camera):
     return guided_arm.GuidedArm(Config())
+
+
+@pytest.fixture
+def simulated(monkeypatch, camera):
+    arm = SimulatedArm(camera)
+    monkeypatch.setattr(guided_arm, "ArmClient", lambda: arm)
+    return arm
 
 
 def in_a_thread(function, *arguments):
@@ -325,3 +392,104 @@ def test_a_pause_also_ends_the_tries_of_an_arm_in_trouble(arm, camera, guided):
     guided.resume()
     look.join(10.0)
     assert not look.is_alive()
+
+
+def moves(arm):
+    return [told[0] if told[0] != "restore" else told for told in arm.told]
+
+
+def test_a_simulated_arm_that_was_started_anew_is_put_back_before_the_next_command(simulated):
+    guided = guided_arm.GuidedArm(Config())
+    guided.execute(FORWARD)
+    simulated.begin_anew()
+    assert guided.is_ours, "it will be where it was left"
+    assert guided.execute(FORWARD).header.stamp == rospy.Time(2)
+    assert moves(simulated) == ["move", ("restore", 1.0), "move"]
+    assert not guided.held, "nothing has happened"
+
+
+def test_a_command_that_a_simulated_arm_has_not_survived_is_carried_out_again(simulated):
+    guided = guided_arm.GuidedArm(Config())
+    guided.execute(FORWARD)
+    simulated.is_dead = True
+    step = in_a_thread(guided.execute, FORWARD)
+    wait_for(lambda: len(simulated.told) > 3)
+    assert guided.trouble == "it does not answer"
+    simulated.begin_anew()
+    step.join(10.0)
+    assert moves(simulated)[-2:] == [("restore", 1.0), "move"]
+    assert simulated.told[-1] == ("move", 0.1, 0.0, 0.0)
+    assert not guided.held
+
+
+def test_an_answer_of_another_simulated_arm_than_the_one_that_was_there_does_not_count(simulated, camera):
+    guided = guided_arm.GuidedArm(Config())
+    for _ in range(3):
+        guided.execute(FORWARD)
+    restarts = camera.restarts
+    simulated.begin_anew()
+    camera.restarts = restarts  # its states have not come yet
+    assert guided.execute(FORWARD).header.stamp == rospy.Time(4)
+    assert moves(simulated)[3:] == ["move", ("restore", 3.0), "move"]
+
+
+def test_an_image_that_a_simulated_arm_has_not_survived_is_shown_again(simulated, camera):
+    guided = guided_arm.GuidedArm(Config())
+    reached = guided.execute(FORWARD)
+    simulated.is_dead = True
+    camera.failures = [ObservationError("no image")]
+    look = in_a_thread(guided.look, reached)
+    wait_for(lambda: len(simulated.told) > 2)
+    simulated.begin_anew()
+    look.join(10.0)
+    assert set(moves(simulated)[1:]) == {("restore", 1.0)}
+    assert not guided.held
+
+
+def test_a_camera_that_stays_silent_beside_a_simulated_arm_is_told_of(simulated, camera):
+    guided = guided_arm.GuidedArm(Config())
+    reached = guided.execute(FORWARD)
+    camera.failures = [ObservationError("no image"), ObservationError("no image")]
+    guided.look(reached)
+    assert moves(simulated) == ["move", ("restore", 1.0), "move"]
+    assert simulated.told[-1] == ("move", 0.0, 0.0, 0.0)
+    assert guided.held
+
+
+def test_a_pause_holds_while_a_simulated_arm_is_started_anew(simulated):
+    guided = guided_arm.GuidedArm(Config())
+    guided.execute(FORWARD)
+    simulated.is_dead = True
+    step = in_a_thread(guided.execute, FORWARD)
+    wait_for(lambda: len(simulated.told) > 2)
+    guided.pause("a call")
+    with pytest.raises(CommandError, match="does not answer"):
+        guided.stop()
+    told = len(simulated.told)
+    simulated.begin_anew()
+    time.sleep(0.1)
+    assert len(simulated.told) == told
+    guided.resume()
+    step.join(10.0)
+    assert simulated.told[-1] == ("move", 0.0, 0.0, 0.0)
+    assert guided.held
+
+
+def test_a_simulated_arm_that_was_started_anew_is_not_stopped_as_in_an_emergency(simulated):
+    guided = guided_arm.GuidedArm(Config())
+    guided.execute(FORWARD)
+    simulated.begin_anew()
+    guided.stop()
+    assert simulated.stops_that_last == 0
+    guided.execute(FORWARD)
+    guided.stop()
+    assert simulated.told[-1] == ("stop",)
+    assert simulated.stops_that_last == 0
+
+
+def test_a_stop_moves_a_simulated_arm_away_from_where_it_was_left(simulated):
+    guided = guided_arm.GuidedArm(Config())
+    guided.execute(FORWARD)
+    assert guided.is_ours
+    guided.stop()
+    assert not guided.is_ours

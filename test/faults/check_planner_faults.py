@@ -58,20 +58,20 @@ class FaultyArm:
         if self.failures:
             self.failures -= 1
             words = "the robot is in reflex mode"
-            return MoveArmResponse(False, words, ArmCause.FAILED, PlanarState(), False)
+            return MoveArmResponse(False, words, ArmCause.FAILED, PlanarState(), False, [])
         if self.fault == "stopped":
             words = "the arm was stopped by /operator"
-            return MoveArmResponse(False, words, ArmCause.STOPPED, PlanarState(), False)
+            return MoveArmResponse(False, words, ArmCause.STOPPED, PlanarState(), False, [])
         self._drive(velocity)
         threading.Event().wait(request.duration)
-        return MoveArmResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)), False)
+        return MoveArmResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)), False, [])
 
     def go_to(self, request):
         way = np.array([request.x, request.y, request.theta]) - state_arrays(self._drive(np.zeros(3)))[0]
         duration = PERIOD + np.max(np.abs(way) / SPEEDS)
         self._drive(way / duration)
         threading.Event().wait(duration)
-        return GoToPoseResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)))
+        return GoToPoseResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)), [])
 
     def stop(self, _request):
         self.last_call = "stop"

@@ -134,13 +134,16 @@ class GuidedArm:
         Raises ObservationError or CommandError when patience or tries have ended, and ShutdownRequestedError.
         """
         gives_up_at = time.monotonic() + self._patience
+        asked_again = False
         while True:
             try:
                 seen = self._camera.take(reached.header.stamp)
                 break
             except ObservationError as error:
-                if self._is_lost:
+                if self._memory.size and (self._is_lost or not asked_again):
+                    # A simulated arm shows once more what it has shown, or was lost with it: nothing has happened then.
                     reached = self._insist(_PutBack(self._memory), self._standing, gives_up_at)
+                    asked_again = True
                     continue
                 self._bear(error, gives_up_at)
                 reached = self._insist(self._standing, self._standing, gives_up_at)
@@ -218,7 +221,10 @@ class GuidedArm:
     def _insist(
         self, command: Union[Command, _PutBack], instead: Union[Command, _PutBack], gives_up_at: float
     ) -> PlanarState:
-        """Carry out a command; when it fails, or a pause came before it, then another one until that succeeds."""
+        """Carry out a command; when it fails, or a pause came before it, then another one until that succeeds.
+
+        A simulated arm that does not answer is waited for, put back, and none the worse for it.
+        """
         while True:
             if self.wait_while_paused():
                 command, self._held = instead, True
@@ -228,8 +234,13 @@ class GuidedArm:
                         continue
                     reached = self._send(command)
             except CommandError as error:
-                self._bear(error, gives_up_at)
-                command = instead
+                if self._memory.size and isinstance(error, UnansweredError):
+                    self._unanswered = True
+                    self._say(str(error))
+                    pause(RETRY_PERIOD)
+                else:
+                    self._bear(error, gives_up_at)
+                    command = instead
             else:
                 if command is not self._standing:
                     self._failures = 0
@@ -241,22 +252,13 @@ class GuidedArm:
         return bool(self._memory.size) and (self._unanswered or self._camera.restarts != self._restarts)
 
     def _send(self, command: Union[Command, _PutBack]) -> PlanarState:
-        """Carry out a command; a simulated arm that was lost is put back first, and so is none the worse for it."""
-        while True:
-            try:
-                if self._is_lost:
-                    self._call(_PutBack(self._memory))
-                reached = self._call(command)
-            except UnansweredError as error:
-                if not self._memory.size:
-                    raise
-                self._unanswered = True
-                self._say(str(error))
-                pause(RETRY_PERIOD)
-                continue
-            if isinstance(command, _PutBack) or not reached.memory.size or reached.state.header.stamp > self._left_at:
-                break
-            self._unanswered = True  # by the arm that had been there: time went back
+        """Carry out a command; a simulated arm that was lost is put back first."""
+        if self._is_lost:
+            self._call(_PutBack(self._memory))
+        reached = self._call(command)
+        time_went_back = self._memory.size and reached.state.header.stamp <= self._left_at
+        if time_went_back and not isinstance(command, _PutBack):
+            raise UnansweredError("the simulated arm was started anew: another one has answered")
         self._memory, self._left_at = reached.memory, reached.state.header.stamp
         return reached.state
 
@@ -283,10 +285,11 @@ class GuidedArm:
     def _give_back(self, outcome: Future) -> None:
         try:
             with self._turn:
-                # The arm takes a stop by anybody but its driver for an emergency.
-                if self.is_ours:
+                # The arm takes a stop by anybody but its driver for an emergency, and one that was started anew has
+                # no driver: so it is asked first.
+                if self.is_ours and self._arm.keep():
                     self._arm.stop()
-                    self._lease.end()
+                self._lease.end()
             outcome.set_result(None)
         except CommandError as error:
             outcome.set_exception(error)
