@@ -11,7 +11,7 @@ from typing import Callable, Optional, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import ObservationError, SessionError
+from embodied_active_learning.errors import CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
 from embodied_active_learning.model.objective import Arithmetic
@@ -184,6 +184,12 @@ class TrainingRun:
             return
         for reason in checkpoint.refused:
             LOG.warning("checkpoint refused: %s", reason)
+        if checkpoint.counters.get("observations", 0) > self.observations:
+            raise CorruptFileError(
+                f"{self._session.paths.observations} holds {self.observations} observations, but there were "
+                f"{checkpoint.counters['observations']} when {checkpoint.path.name} was written: restore them, or start a "
+                "new session"
+            )
         self._learner.restore(checkpoint.tensors, checkpoint.counters)
         remove_file(self._session.paths.model)  # it is older than what is learned from here on
 
@@ -250,6 +256,7 @@ class TrainingRun:
 
     def _checkpoint(self) -> Path:
         tensors, counters = self._learner.state()
+        counters["observations"] = self.observations
         kept = self._config.training.checkpoints_kept
         path = save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)
         self._beginning = None

@@ -8,10 +8,12 @@ import pytest
 import torch
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model import learner as learner_module
 from embodied_active_learning.model.learner import ATTEMPTS, DivergenceError
 from embodied_active_learning.model.objective import Loss
 from embodied_active_learning.session.checkpoints import load_model
+from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.training_run import ROLLBACKS, TrainingRun
 
 STEPS = 24
@@ -269,3 +271,28 @@ def finish_from(run, last):
             answers[index] = values.tolist()
         assert finished.wait(TIMEOUT)
     return answers
+
+
+def test_a_checkpoint_whose_observations_are_gone_is_not_trained_on(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    finish(run)
+    (run.folder / "observations" / DATA_FILE).unlink()
+    with pytest.raises(CorruptFileError, match=f"holds 0 observations, but there were {STEPS} when checkpoint_"):
+        TrainingRun(configured(tmp_path, resume=True))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"generator": {"bit_generator": "PCG64"}},
+        {"schedule": {"window": [1]}},
+        {"updates": "many"},
+        {"earlier_updates": None},
+    ],
+)
+def test_counters_that_are_none_are_refused_by_name(tmp_path, damage):
+    run = TrainingRun(configured(tmp_path))
+    finish(run)
+    tensors, counters = run._learner.state()
+    with pytest.raises(CorruptFileError, match="checkpoint has counters that cannot be used"):
+        run._learner.restore(tensors, {**counters, **damage})

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.coverage import workspace_coverage
 from embodied_active_learning.exploration.kernel import CoverageKernel
 from embodied_active_learning.model import checkpoint
@@ -165,19 +165,23 @@ class Learner:
         return tensors, counters
 
     def restore(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
-        """Go on from state(), as if there had been no interruption. Raises ConfigError if it is of another model."""
+        """Go on from state(), as if there had been no interruption.
+
+        Raises ConfigError if it is of another model, CorruptFileError for counters that are none.
+        """
         checkpoint.require(counters, ("updates", "skipped", "schedule", "generator"))
         earlier = checkpoint.earlier_weights(tensors, self.network)
         checkpoint.unpack(tensors, self.network, self._optimiser)
-        self.updates = int(counters["updates"])
-        self.skipped = int(counters["skipped"])
-        self.rollbacks = int(counters.get("rollbacks", 0))
-        self.schedule.load_state_dict(counters["schedule"])
-        self._random.bit_generator.state = counters["generator"]
+        try:
+            self._restore_counters(counters)
+            earlier_updates = int(counters["earlier_updates"]) if earlier else 0
+            snapshot_updates = int(counters.get("snapshot_updates", self.updates))
+        except (KeyError, TypeError, ValueError) as error:
+            raise CorruptFileError(f"checkpoint has counters that cannot be used ({error!r}): train again") from error
         if earlier:
-            self.snapshots.take(earlier, int(counters["earlier_updates"]))
+            self.snapshots.take(earlier, earlier_updates)
         # A model between two refreshes answered nobody, and must not push out the one that is asked for.
-        if int(counters.get("snapshot_updates", self.updates)) == self.updates:
+        if snapshot_updates == self.updates:
             self.refresh()
 
     def roll_back(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
@@ -191,6 +195,12 @@ class Learner:
         if self.snapshots.updates > self.updates:
             self.refresh()  # what was gone back from does not answer any more
         self._random = np.random.Generator(self._random.bit_generator.jumped(rollbacks))
+
+    def _restore_counters(self, counters: Dict[str, Any]) -> None:
+        self.updates, self.skipped = int(counters["updates"]), int(counters["skipped"])
+        self.rollbacks = int(counters.get("rollbacks", 0))
+        self.schedule.load_state_dict(counters["schedule"])
+        self._random.bit_generator.state = counters["generator"]
 
     def _attempt(self, count: int, beta: float, gamma: float) -> Loss:
         for _ in range(ATTEMPTS):
