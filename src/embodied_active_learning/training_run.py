@@ -184,11 +184,11 @@ class TrainingRun:
             return
         for reason in checkpoint.refused:
             LOG.warning("checkpoint refused: %s", reason)
-        if checkpoint.counters.get("observations", 0) > self.observations:
+        before = checkpoint.counters.get("observations", 0)
+        if before > self.observations:
             raise CorruptFileError(
-                f"{self._session.paths.observations} holds {self.observations} observations, but there were "
-                f"{checkpoint.counters['observations']} when {checkpoint.path.name} was written: restore them, or start a "
-                "new session"
+                f"{self._session.paths.observations} holds {self.observations} observations, but there were {before} when "
+                f"{checkpoint.path.name} was written: restore them, or start a new session"
             )
         self._learner.restore(checkpoint.tensors, checkpoint.counters)
         remove_file(self._session.paths.model)  # it is older than what is learned from here on
