@@ -153,7 +153,7 @@ def test_a_stopped_arm_is_kept_by_nobody_and_takes_no_command_until_it_is_recove
     with commander.stop(request("/operator")):
         pass
     assert (commander.holder, commander.stopped_by) == ("", "/operator")
-    with pytest.raises(ArmStoppedError, match="call arm/recover"):
+    with pytest.raises(ArmStoppedError, match="call /arm/recover"):
         commander.keep(request("/ergodic_planner"))
     commander.recover()
     assert commander.stopped_by == ""

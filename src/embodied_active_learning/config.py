@@ -336,7 +336,10 @@ class Config:
         """Check what no single value can: limits against each other."""
         box = self.workspace.box()
         if len(self.simulation.start) != box.size or not box.contains(self.simulation.start):
-            raise ConfigError(f"simulation/start {list(self.simulation.start)} lies outside the workspace")
+            raise ConfigError(
+                f"simulation/start {list(self.simulation.start)} lies outside the workspace: move it, or "
+                "enlarge workspace/x, workspace/y, workspace/theta"
+            )
         if len(self.identification.cells) != box.size:
             raise ConfigError(
                 f"identification/cells needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"
@@ -352,7 +355,7 @@ class Config:
                 "exploration/step_duration is longer than arm/max_duration: the arm would refuse each command"
             )
         if self.exploration.fresh_samples > self.exploration.samples:
-            raise ConfigError("exploration/fresh_samples is larger than exploration/samples")
+            raise ConfigError("exploration/fresh_samples is larger than exploration/samples: only as many can be new")
         if self.training.batch_size > self.training.first_update_at:
             raise ConfigError(
                 "training/batch_size is larger than training/first_update_at: the first batch could not be filled"

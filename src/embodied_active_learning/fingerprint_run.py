@@ -56,19 +56,28 @@ class FingerprintRun:
         return names
 
     @property
+    def nothing_found(self) -> str:
+        """Why there is nothing to take fingerprints of, in words; empty when there is something."""
+        if not self.clustering.flat:
+            return ""
+        return (
+            f"nothing to find: {self._contrast()}, less than fingerprint/min_contrast "
+            f"({self._config.fingerprint.min_contrast:g}); let it learn longer, or put objects on the table"
+        )
+
+    @property
     def finding(self) -> str:
         """What was found, in words."""
+        if self.clustering.flat:
+            return self.nothing_found
         clustering = self.clustering
-        ratio = f"the predicted standard deviation varies by {clustering.contrast:.1f}x over the workspace"
-        if clustering.flat:
-            return (
-                f"nothing to find: {ratio}, less than fingerprint/min_contrast "
-                f"({self._config.fingerprint.min_contrast:g}); let it learn longer, or put objects on the table"
-            )
         objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
         beyond = len(clustering.unreachable)
         more = f"; {beyond} more out of the camera's reach were left out" if beyond else ""
-        return f"{objects} objects and a blank region: {ratio}{more}"
+        return f"{objects} objects and a blank region: {self._contrast()}{more}"
+
+    def _contrast(self) -> str:
+        return f"the predicted standard deviation varies by {self.clustering.contrast:.1f}x over the workspace"
 
     def require_complete(self, name: str) -> None:
         """Raise ObservationError unless the fingerprint of that name has all its views."""

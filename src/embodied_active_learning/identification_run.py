@@ -81,7 +81,10 @@ class IdentificationRun:
         self.images = images or len(self._store)
         if self.images < 1:
             self.close()
-            raise SessionError(f"there are no images to look at: {images} of {self._path} were asked for")
+            raise SessionError(
+                f"there are no images to look at: {self._path} holds {self.stored}, {images} were asked for; give a "
+                "number from 1, or 0 for all"
+            )
 
     @property
     def config(self) -> Config:

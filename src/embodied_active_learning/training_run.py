@@ -11,7 +11,7 @@ from typing import Callable, Optional, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import CorruptFileError, ObservationError, SessionError
+from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
 from embodied_active_learning.model.objective import Arithmetic
@@ -161,7 +161,8 @@ class TrainingRun:
             self._changed.notify_all()
             if not self._changed.wait_for(lambda: self._saved is not None, timeout):
                 raise SessionError(
-                    f"no checkpoint was written within {timeout:g} s: the training thread is not running"
+                    f"no checkpoint was written within {timeout:g} s: the disk or the processor is overloaded, or "
+                    "training has ended; see /diagnostics, and call again"
                 )
             return self._saved
 
@@ -183,14 +184,17 @@ class TrainingRun:
         if checkpoint is None:
             return
         for reason in checkpoint.refused:
-            LOG.warning("checkpoint refused: %s", reason)
-        before = checkpoint.counters.get("observations", 0)
-        if before > self.observations:
+            LOG.warning("checkpoint refused, an older one is used: %s", reason)
+        observed = checkpoint.counters.get("observations", 0)
+        if observed > self.observations:
             raise CorruptFileError(
-                f"{self._session.paths.observations} holds {self.observations} observations, but there were {before} when "
-                f"{checkpoint.path.name} was written: restore them, or start a new session"
+                f"{self._session.paths.observations} holds {self.observations} observations, but there were {observed} "
+                f"when {checkpoint.path.name} was written: restore them, or start a new session"
             )
-        self._learner.restore(checkpoint.tensors, checkpoint.counters)
+        try:
+            self._learner.restore(checkpoint.tensors, checkpoint.counters)
+        except (ConfigError, CorruptFileError) as error:
+            raise type(error)(f"{checkpoint.path}: {error}") from error
         remove_file(self._session.paths.model)  # it is older than what is learned from here on
 
     def _update(self) -> UpdateReport:

@@ -96,7 +96,9 @@ class ErgodicController(Explorer):
         """
         for values in (position, () if measured_velocity is None else measured_velocity):
             if not np.all(np.isfinite(values)):
-                raise ObservationError(f"observed position or velocity {list(values)} is not finite")
+                raise ObservationError(
+                    f"observed position or velocity {list(values)} is not finite: check tf and the arm"
+                )
         self._position = np.array(position, dtype=np.float64)
         if self._under_way.size:
             self._controls = np.concatenate([self._controls[1:], np.zeros_like(self._controls[:1])])

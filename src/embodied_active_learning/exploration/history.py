@@ -40,7 +40,9 @@ class History:
         """Add a state (D,). Raises ObservationError when it is not finite numbers."""
         state = np.asarray(state, dtype=np.float64)
         if state.shape != self._states.shape[1:] or not np.all(np.isfinite(state)):
-            raise ObservationError(f"visited state {state.tolist()} is not {self._states.shape[1]} finite numbers")
+            raise ObservationError(
+                f"visited state {state.tolist()} is not {self._states.shape[1]} finite numbers: check tf and the arm"
+            )
         if self._count == len(self._states):
             self._grow()
         self._states[self._count] = state

@@ -19,8 +19,8 @@ def target_distribution(log_std: np.ndarray, coverage: float) -> np.ndarray:
     bad = np.count_nonzero(~np.isfinite(log_std))
     if bad:
         raise EmbodiedActiveLearningError(
-            f"the conditional entropy of {bad} of {log_std.size} samples is not finite: the model has diverged,"
-            " restart the trainer from an earlier checkpoint"
+            f"the conditional entropy of {bad} of {log_std.size} samples is not finite: the model has diverged:"
+            " delete the newest file in the session's checkpoints/, and resume"
         )
     return normalise(np.exp(coverage * (log_std - log_std.max())))
 

@@ -61,7 +61,9 @@ def require(found: Mapping[str, Any], keys: Iterable[str]) -> None:
     """Raise CorruptFileError naming the first key that is not found."""
     for key in keys:
         if key not in found:
-            raise CorruptFileError(f"checkpoint lacks {key}: it is damaged or was not written by this package")
+            raise CorruptFileError(
+                f"checkpoint lacks {key}: it was not written by this version of the package; delete it"
+            )
 
 
 def _check(tensors: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]) -> None:

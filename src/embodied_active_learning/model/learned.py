@@ -41,7 +41,8 @@ class LearnedModel:
         expected = (*self.network.image_size, 3)
         if images.dtype != np.uint8 or images.shape[1:] != expected:
             raise ObservationError(
-                f"images are {images.dtype} {images.shape}, the model was trained with uint8 (N, *{expected})"
+                f"images are {images.dtype} {images.shape}, the model was trained with uint8 (N, *{expected}): "
+                "check camera/height and camera/width"
             )
         return self._images.features(self.network, torch.from_numpy(np.ascontiguousarray(images))).numpy()
 

@@ -177,7 +177,10 @@ class Learner:
             earlier_updates = int(counters["earlier_updates"]) if earlier else 0
             snapshot_updates = int(counters.get("snapshot_updates", self.updates))
         except (KeyError, TypeError, ValueError) as error:
-            raise CorruptFileError(f"checkpoint has counters that cannot be used ({error!r}): train again") from error
+            raise CorruptFileError(
+                f"checkpoint has counters that cannot be used ({error!r}): it was not written by this version of the "
+                "package; delete it"
+            ) from error
         if earlier:
             self.snapshots.take(earlier, earlier_updates)
         # A model between two refreshes answered nobody, and must not push out the one that is asked for.

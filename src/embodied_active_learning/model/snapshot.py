@@ -124,7 +124,8 @@ class Snapshots:
         expected = (*self._copies[0].network.image_size, 3)
         if images.dtype != np.uint8 or images.shape[1:] != expected:
             raise ObservationError(
-                f"images are {images.dtype} {images.shape}, the model was built for uint8 (B, *{expected})"
+                f"images are {images.dtype} {images.shape}, the model was built for uint8 (N, *{expected}): "
+                "check camera/height and camera/width"
             )
         if len(images) not in (1, len(states)):
             raise ObservationError(f"{len(images)} images for {len(states)} states: give one each, or one for all")

@@ -81,7 +81,10 @@ def _threshold(own: Sequence[np.ndarray]) -> Tuple[float, float]:
             [_pairwise(one, other).ravel() for index, one in enumerate(own) for other in own[:index]]
         )
     if not distances.size:
-        raise ObservationError("a single view leaves nothing to tell a near match from a far one: take more views")
+        raise ObservationError(
+            "a single view leaves nothing to tell a near match from a far one: raise fingerprint/views, and call "
+            "/fingerprint again"
+        )
     return float(max(distances.min(), 1e-9)), float(distances.max())
 
 

@@ -77,7 +77,7 @@ def _ask(service: Any, *arguments: Any) -> Any:
         return service(*arguments)
     except TRANSPORT_ERRORS as error:
         if HANDLER_FAILED in str(error):
-            raise ArmFailedError(f"{service.resolved_name} failed: {error}") from error
+            raise ArmFailedError(f"{service.resolved_name} failed, the log of its node tells why: {error}") from error
         raise UnansweredError(f"{service.resolved_name} did not answer: {error}") from error
 
 

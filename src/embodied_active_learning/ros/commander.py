@@ -7,7 +7,10 @@ import time
 from contextlib import contextmanager
 from typing import Any, Callable, Iterator, Optional
 
+import rospy
+
 from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
+from embodied_active_learning.ros import names
 
 
 class Commander:
@@ -107,7 +110,8 @@ class Commander:
 
     def _refuse_when_stopped(self) -> None:
         if self._stopped_by:
-            raise ArmStoppedError(f"the arm was stopped by {self._stopped_by}: call arm/recover to go on")
+            way_out = rospy.resolve_name(names.ARM_RECOVER)
+            raise ArmStoppedError(f"the arm was stopped by {self._stopped_by}: call {way_out} to go on")
 
     def _is_held(self) -> bool:
         return self._busy or (self._kept and self._clock() < self._expires)

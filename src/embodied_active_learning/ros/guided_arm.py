@@ -236,7 +236,7 @@ class GuidedArm:
             except CommandError as error:
                 if self._memory.size and isinstance(error, UnansweredError):
                     self._unanswered = True
-                    self._say(str(error))
+                    self._stand_still(str(error))
                     pause(RETRY_PERIOD)
                 else:
                     self._bear(error, gives_up_at)
@@ -309,10 +309,10 @@ class GuidedArm:
             self._failures, self._trouble = 0, ""
             raise error
         self._held = True
-        self._say(trouble)
+        self._stand_still(trouble)
         pause(max(0.0, min(wait, gives_up_at - time.monotonic())))
 
-    def _say(self, trouble: str) -> None:
+    def _stand_still(self, trouble: str) -> None:
         """Say what is wrong when it is new, and again every few seconds of wall time: other time may stand still."""
         if trouble != self._trouble or time.monotonic() > self._said_at + REPEAT_AFTER:
             rospy.logwarn("the arm stands still: %s", trouble)

@@ -12,6 +12,7 @@ from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningE
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.ending import Deadline, ExitCode, leave
 from embodied_active_learning.ros.failure import count_start, report_failure
+from embodied_active_learning.ros.library_log import show_library_log
 from embodied_active_learning.ros.master import MasterWatch, wait_for_master
 from embodied_active_learning.ros.waits import REPEAT_AFTER, awaiting
 
@@ -43,6 +44,7 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
     try:
         wait_for_master()
         rospy.init_node(name)
+        show_library_log()
         watch = MasterWatch()
         count_start()
         if needs_clock:

@@ -52,7 +52,9 @@ class PatientService:
                 return self._proxy(request)
             except TRANSPORT_ERRORS as error:
                 if HANDLER_FAILED in str(error):
-                    raise EmbodiedActiveLearningError(f"{self._name} failed: {error}") from error
+                    raise EmbodiedActiveLearningError(
+                        f"{self._name} failed, the log of its node tells why: {error}"
+                    ) from error
                 rospy.logdebug("%s: %s", self._name, error)
                 self._drop_connection()
                 time.sleep(0.1)

@@ -36,5 +36,6 @@ class Ticker:
     def _say(self, error: Exception) -> None:
         # A node that ends closes its topics under the feet of whoever still publishes.
         if not self._ended.is_set() and time.monotonic() >= self._say_at:
-            rospy.logerr("%s failed: %r", getattr(self._function, "__qualname__", self._function), error)
+            what = getattr(self._function, "__qualname__", self._function)
+            rospy.logerr("%s went wrong, and is tried again every %g s: %r", what, self._period, error)
             self._say_at = time.monotonic() + REPEAT_AFTER

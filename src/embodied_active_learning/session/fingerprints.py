@@ -100,7 +100,10 @@ def has_fingerprints(session_path: Path) -> bool:
 def _check_belongs(session_path: Path, found: FingerprintSet) -> None:
     changes = changed_keys(read_description(SessionPaths(session_path).config), found.config)
     if changes:
-        raise SessionError(f"fingerprints do not belong to session {session_path}: {'; '.join(changes)}")
+        raise SessionError(
+            f"fingerprints do not belong to session {session_path}: {'; '.join(changes)}; take them "
+            "with its own settings"
+        )
 
 
 def _replace_set(folder: Path, found: FingerprintSet) -> Path:

@@ -177,7 +177,7 @@ class SimulatedArm:
             self._tick(_REST)
             if np.all(np.abs(self.velocity) <= _AT_REST):
                 return MoveResult(self.pose, self.velocity, limited=False)
-        raise ArmFailedError(f"the arm did not come to rest: it moves at {self.velocity.tolist()}")
+        raise ArmFailedError(f"the arm did not come to rest: it moves at {self.velocity.tolist()} (m/s, m/s, rad/s)")
 
     def _tick(self, velocity: List[float]) -> bool:
         """One physics step at the legal velocity next to a planar one (3,); whether more than inertia changed it."""

@@ -93,7 +93,7 @@ def _vertices(urdf: Path, mesh: Path) -> np.ndarray:
     try:
         lines = _MESH_READER.read_bytes(mesh).decode("utf-8", "replace").splitlines()
     except WorldError as error:
-        raise WorldError(f"{urdf}: mesh {error}") from error
+        raise WorldError(f"{urdf}: its mesh cannot be used: {error}") from error
     try:
         vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64)
     except ValueError as error:

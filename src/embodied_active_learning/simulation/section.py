@@ -68,7 +68,7 @@ class Section:
     def _get(self, key: str, default: Any) -> Any:
         value = self._values.get(key, default)
         if value is None:
-            raise WorldError(f"{self._place(key)} is missing")
+            raise WorldError(f"{self._place(key)} is missing: write it into the file")
         return value
 
     def _place(self, key: str) -> str:
