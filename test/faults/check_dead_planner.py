@@ -137,7 +137,7 @@ class DeadPlannerTest(unittest.TestCase):
     def test_an_arm_that_is_started_anew_with_its_clock_is_gone_on_with(self):
         before = rospy.Time.now()
         self.arm.kill()
-        self.wait_for_health("planner", DiagnosticStatus.ERROR, "/arm/move did not answer")
+        self.wait_for_health("planner", DiagnosticStatus.ERROR, "did not answer: unable to connect")
         type(self).arm = NodeProcess("pybullet_arm")
         self.wait_for(lambda: rospy.Time.now() < before, "the clock did not go back")
         self.wait_for_progress()
