@@ -1,5 +1,7 @@
 """One commander of the arm at a time."""
 
+import threading
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -18,6 +20,19 @@ class Clock:
 
 def request(caller):
     return SimpleNamespace(_connection_header={"callerid": caller})
+
+
+def in_a_thread(function):
+    thread = threading.Thread(target=function, daemon=True)
+    thread.start()
+    return thread
+
+
+def wait_for(condition):
+    ends_at = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < ends_at
+        time.sleep(0.002)
 
 
 def test_a_second_node_is_refused_with_the_name_of_the_first():
@@ -86,12 +101,69 @@ def test_a_driver_that_stops_its_own_arm_may_go_on():
 
 def test_a_driver_that_stops_its_arm_amid_a_command_gives_it_back_after_the_command():
     commander = Commander(5.0, Clock())
-    with commander.command(request("/ergodic_planner")):
+    stopped = []
+
+    def stop():
         with commander.stop(request("/ergodic_planner")):
-            pass
+            stopped.append(True)
+
+    with commander.command(request("/ergodic_planner")):
+        thread = in_a_thread(stop)
         with pytest.raises(ArmBusyError, match="carrying out"), commander.command(request("/fingerprinter")):
             pass
+        assert not stopped
+    thread.join(10.0)
+    assert stopped
     assert commander.holder == ""
+
+
+def test_a_command_that_waits_for_the_arm_is_not_carried_out_after_a_stop():
+    clock = Clock()
+    commander = driven(clock)
+    clock.now = 5.1
+    moved, refused = [], []
+
+    def command():
+        try:
+            with commander.command(request("/ergodic_planner")):
+                moved.append(True)
+        except ArmStoppedError as error:
+            refused.append(error)
+
+    def stop():
+        with commander.stop(request("/operator")):
+            pass
+
+    with commander.lapsed():  # the arm brakes
+        threads = [in_a_thread(command)]
+        wait_for(lambda: commander.holder == "/ergodic_planner")
+        threads.append(in_a_thread(stop))
+        wait_for(lambda: commander.stopped_by == "/operator")
+    for thread in threads:
+        thread.join(10.0)
+    assert (len(moved), len(refused)) == (0, 1)
+
+
+def test_a_stop_lasts_longer_than_the_node_in_front_of_the_arm():
+    commander = Commander(5.0, Clock(), stopped_by="/operator")
+    with pytest.raises(ArmStoppedError, match="/operator"), commander.command(request("/ergodic_planner")):
+        pass
+    commander.recover()
+    with commander.command(request("/ergodic_planner")):
+        pass
+
+
+def test_nobody_moves_an_arm_that_has_ended():
+    commander = driven(Clock())
+    commander.end()
+    moved = []
+
+    def command():
+        with commander.command(request("/ergodic_planner")):
+            moved.append(True)
+
+    in_a_thread(command).join(0.1)
+    assert not moved
 
 
 def test_a_stop_by_the_last_driver_stops_the_next_one_like_anybody_elses():
@@ -159,13 +231,18 @@ def test_a_stopped_arm_is_kept_by_nobody_and_takes_no_command_until_it_is_recove
     assert commander.stopped_by == ""
 
 
+def lapsed(commander):
+    with commander.lapsed() as driver:
+        return driver
+
+
 def test_a_driver_that_falls_silent_is_told_of_once():
     clock = Clock()
     commander = driven(clock)
-    assert commander.take_lapsed() == ""
+    assert lapsed(commander) == ""
     clock.now = 5.1
-    assert commander.take_lapsed() == "/ergodic_planner"
-    assert commander.take_lapsed() == ""
+    assert lapsed(commander) == "/ergodic_planner"
+    assert lapsed(commander) == ""
 
 
 def test_a_driver_that_has_given_the_arm_back_does_not_fall_silent():
@@ -174,7 +251,7 @@ def test_a_driver_that_has_given_the_arm_back_does_not_fall_silent():
     with commander.stop(request("/ergodic_planner")):
         pass
     clock.now = 5.1
-    assert commander.take_lapsed() == ""
+    assert lapsed(commander) == ""
 
 
 def test_the_last_command_was_so_long_ago():

@@ -134,6 +134,27 @@ class DeadPlannerTest(unittest.TestCase):
         self.wait_for_progress()
         self.wait_for_health("planner", DiagnosticStatus.OK, "exploring")
 
+    def test_a_stop_and_a_pause_last_longer_than_the_nodes_that_keep_them(self):
+        pause, resume = (rospy.ServiceProxy(f"planner/{name}", Trigger) for name in ("pause", "resume"))
+        self.assertTrue(pause().success)
+        self.assertTrue(self.stop().success)
+        self.wait_for(lambda: rospy.get_param("/ergodic_planner/paused_for", ""), "the pause was not kept")
+        self.wait_for(lambda: rospy.get_param("/pybullet_arm/stopped_by", ""), "the stop was not kept")
+        observed = self.observed
+        self.planner.kill()
+        self.arm.kill()
+        self.health.clear()
+        type(self).arm = NodeProcess("pybullet_arm")
+        type(self).planner = NodeProcess("ergodic_planner")
+        self.wait_for(lambda: {"arm", "planner"} <= set(self.health), "the nodes do not come back")
+        self.wait_for_health("planner", DiagnosticStatus.WARN, "paused, waiting for a call of /planner/resume")
+        self.wait_for_health("arm", DiagnosticStatus.WARN, "stopped by /check_dead_planner: call /arm/recover to go on")
+        self.assertEqual(self.move(0.1, 0.0, 0.0, 0.2).cause, ArmCause.STOPPED)
+        self.assertTrue(self.recover().success)
+        self.assertTrue(resume().success)
+        self.wait_for_progress()
+        self.assertGreater(self.observed, observed)
+
     def test_an_arm_that_is_started_anew_with_its_clock_is_gone_on_with(self):
         before = rospy.Time.now()
         self.arm.kill()

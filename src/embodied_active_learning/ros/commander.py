@@ -20,7 +20,8 @@ class Commander:
     taken until somebody calls recover.
     """
 
-    def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic, stopped_by: str = "") -> None:
+        """Timeout: wall seconds; stopped_by: the node whose stop has lasted since before."""
         self._timeout = timeout
         self._clock = clock
         self._lock = threading.Lock()
@@ -29,14 +30,21 @@ class Commander:
         self._expires = 0.0
         self._commanded_at: Optional[float] = None
         self._busy = False
-        self._stopped_by = ""
+        self._stopped_by = stopped_by
+        self._turn = threading.Lock()  # held by whoever has the arm move
 
     @contextmanager
     def command(self, request: Any) -> Iterator[None]:
-        """The time of one command. Raises ArmBusyError naming the node that has the arm, or ArmStoppedError."""
+        """The time of one command, with the arm to itself.
+
+        Raises ArmBusyError naming the node that has the arm, or ArmStoppedError.
+        """
         self._take(name_of_caller(request))
         try:
-            yield
+            with self._turn:
+                with self._lock:
+                    self._refuse_when_stopped()  # again: nothing moves after a stop that came first was answered
+                yield
         finally:
             with self._lock:
                 self._busy = False
@@ -71,13 +79,23 @@ class Commander:
         with self._lock:
             return None if self._commanded_at is None else self._clock() - self._commanded_at
 
-    def take_lapsed(self) -> str:
-        """The driver that has fallen silent without giving the arm back, told once; empty when there is none."""
-        with self._lock:
-            if not self._kept or self._is_held():
-                return ""
-            self._kept = False
-            return self._holder
+    @contextmanager
+    def lapsed(self) -> Iterator[str]:
+        """The time to brake for a driver that has fallen silent without giving the arm back, told once.
+
+        -> its name; empty when there is none.
+        """
+        with self._turn:
+            with self._lock:
+                is_lapsed = self._kept and not self._is_held()
+                if is_lapsed:
+                    self._kept = False
+                driver = self._holder if is_lapsed else ""
+            yield driver
+
+    def end(self) -> None:
+        """Let nobody move the arm any more, once the command under way is done."""
+        self._turn.acquire()
 
     @contextmanager
     def stop(self, request: Any) -> Iterator[bool]:
@@ -87,7 +105,8 @@ class Commander:
             lasts = caller != self._holder
             if lasts:
                 self._stopped_by = caller
-        yield lasts
+        with self._turn:
+            yield lasts
         with self._lock:
             self._kept = False
 

@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import List
 
@@ -58,7 +59,8 @@ class Deadline:
         name = rospy.get_name() if rospy.core.is_initialized() else self._name
         os.write(2, f"{name} did not end by itself within {GRACE:g} s and is ended now\n".encode())
         for child in children(os.getpid()):
-            os.kill(child, signal.SIGKILL)
+            with suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
         os._exit(ExitCode.OVERDUE)
 
 
@@ -76,5 +78,8 @@ def leave(code: ExitCode) -> None:
 
 def children(process: int) -> List[int]:
     """The processes that a process, or any thread of it, has started and that still run."""
-    lists = Path(f"/proc/{process}/task").glob("*/children")
-    return [int(child) for path in lists for child in path.read_text().split()]
+    found: List[int] = []
+    for path in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(FileNotFoundError, ProcessLookupError):  # of a thread that has ended meanwhile
+            found += map(int, path.read_text().split())
+    return found

@@ -43,6 +43,10 @@ WORKSPACE_MARKER = "workspace"
 CONFIG_PARAMETER = "config"
 FAILURE_PARAMETER = "failure"
 STARTS_PARAMETER = "starts"
+# Kept by the master for a node that is killed and started again; the launch files begin with them empty.
+STOPPED_BY = "~stopped_by"
+PAUSED_FOR = "~paused_for"
+HAS_PAUSED_PLANNER = "~has_paused_planner"
 
 BASE_FRAME = "panda_link0"
 CAMERA_FRAME = "camera_optical_frame"

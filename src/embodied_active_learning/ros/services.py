@@ -13,11 +13,12 @@ from rospy.exceptions import TransportException
 from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
-from embodied_active_learning.ros.node import ShutdownRequestedError
+from embodied_active_learning.ros.node import ShutdownRequestedError, pause
 from embodied_active_learning.ros.waits import awaiting
 
 # What a call raises when the other side is gone: rospy lets the socket's own errors through.
 TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, OSError)
+_MASTER_PERIOD = 0.5  # s of wall time between two questions to a master that does not answer
 HANDLER_FAILED = "responded with an error"  # rospy's words for an exception in the server's handler
 
 
@@ -75,9 +76,18 @@ class PatientService:
 
 
 def is_offered(name: str) -> bool:
-    """Whether a node offers a service of that name, as far as the master knows."""
-    code, _, _ = rospy.get_master().lookupService(rospy.resolve_name(name))
-    return code == 1
+    """Whether a node offers a service of that name, as far as the master knows; one that is away is waited for.
+
+    Raises ShutdownRequestedError.
+    """
+    while True:
+        try:
+            code, _, _ = rospy.get_master().lookupService(rospy.resolve_name(name))
+        except OSError as error:  # MasterWatch says it aloud
+            rospy.logdebug("the ROS master did not answer: %s", error)
+            pause(_MASTER_PERIOD)
+        else:
+            return code == 1
 
 
 def trigger_if_offered(name: str) -> Optional[TriggerResponse]:
