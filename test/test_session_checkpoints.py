@@ -55,7 +55,7 @@ def test_no_checkpoint_is_none(tmp_path):
 
 
 def test_the_last_checkpoints_are_kept_and_leftovers_cleaned(tmp_path):
-    (tmp_path / ".checkpoint_000000001.safetensors.77.1.tmp").write_bytes(b"half")
+    (tmp_path / ".checkpoint_000000001.safetensors.99999999.1.tmp").write_bytes(b"half")
     for updates in (9, 90, 900):
         save_checkpoint(tmp_path, updates, tensors(), {}, keep=2)
     names = sorted(path.name for path in tmp_path.iterdir())

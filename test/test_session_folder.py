@@ -20,6 +20,7 @@ from embodied_active_learning.session.names import check_name
 from embodied_active_learning.session.session import Session, check_session, list_sessions
 from embodied_active_learning.session.summary import Summary, read_summary, summarise, write_summary
 
+LARGEST_PROCESS = 2**22  # that Linux gives a number to
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 
 
@@ -161,9 +162,13 @@ def test_root_that_cannot_hold_folders_is_refused(tmp_path):
 def test_what_a_process_left_that_died_while_creating_a_session_is_taken_over(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / ".lock").write_text("process 1 on elsewhere")
-    (tmp_path / "a" / ".config.yaml.1.2.tmp").write_text("half")
+    leftover = tmp_path / "a" / f".config.yaml.{LARGEST_PROCESS + 1}.2.tmp"
+    beside = tmp_path / "a" / f".planner.safetensors.{os.getppid()}.2.tmp"
+    for path in (leftover, beside):
+        path.write_text("half")
     create(tmp_path)
-    assert not (tmp_path / "a" / ".config.yaml.1.2.tmp").exists()
+    assert not leftover.exists()
+    assert beside.exists(), "its writer still runs"
 
 
 def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):

@@ -239,3 +239,40 @@ def test_joint_speeds_stay_legal_however_fast_the_arm_may_be():
     speeds = np.array([arm.joint_velocities[name] for name in ARM_JOINTS])
     assert 0.99 <= np.max(np.abs(speeds) / JOINT_LIMITS[:, 2]) <= 1.001
     arm.close()
+
+
+def test_an_arm_that_is_put_back_goes_on_bit_for_bit_as_one_that_never_left(arm):
+    for velocity, _ in RECORDED[:2]:
+        arm.move(velocity, 0.2)
+    memory = arm.memory
+    expected = [arm.move(velocity, 0.2) for velocity, _ in RECORDED[2:]]
+    other = SimulatedArm(CONFIG)
+    try:
+        for one in (arm, other):
+            one.go_to((0.4, -0.1, 1.0))
+            one.restore(memory.tolist())
+            np.testing.assert_array_equal(one.memory, memory)
+            for (velocity, _), result in zip(RECORDED[2:], expected):
+                again = one.move(velocity, 0.2)
+                np.testing.assert_array_equal(again.state, result.state)
+                np.testing.assert_array_equal(again.velocity, result.velocity)
+    finally:
+        other.close()
+
+
+@pytest.mark.parametrize(
+    ("index", "value"),
+    [(0, -1.0), (0, 1e300), (1, 1.0), (2, math.nan), (15, 1e9), (17, -1.6)],
+    ids=["before the start", "after all time", "another place", "no number", "too fast", "turns too fast"],
+)
+def test_a_memory_of_no_legal_arm_is_refused_and_changes_nothing(arm, index, value):
+    arm.move((0.1, 0.0, 0.0), 0.2)
+    memory, pose = arm.memory, arm.pose
+    wrong = memory.copy()
+    wrong[index] = value
+    with pytest.raises(CommandError, match="is refused"):
+        arm.restore(wrong)
+    with pytest.raises(CommandError, match="memory of 2 numbers is refused: give 18 finite ones"):
+        arm.restore([1.0, 2.0])
+    np.testing.assert_array_equal(arm.memory, memory)
+    np.testing.assert_array_equal(arm.pose, pose)

@@ -76,10 +76,17 @@ def sync_folder(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete the temporary files of writers that were killed. Only for the one who holds the session."""
+    """Delete the temporary files of writers that were killed, and of none that still runs."""
     for leftover in folder.glob(f".*{_SUFFIX}"):
-        with suppress(OSError):  # they do no harm
-            leftover.unlink()
+        if not _is_being_written(leftover):
+            with suppress(OSError):  # they do no harm
+                leftover.unlink()
+
+
+def _is_being_written(temporary: Path) -> bool:
+    """Whether the process still runs, as far as this machine knows, that has given the file its name."""
+    parts = temporary.name.split(".")[-3:]  # as replace_file puts them: process, thread, suffix
+    return len(parts) == 3 and parts[0].isdecimal() and os.path.exists(f"/proc/{parts[0]}")
 
 
 def is_leftover(name: str) -> bool:

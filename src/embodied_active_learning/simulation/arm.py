@@ -25,6 +25,7 @@ _AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
 _SETTLING_STEPS = 100
 _HEIGHT_TOLERANCE = 0.01  # m
 _REST = [0.0, 0.0, 0.0]
+_LATEST = 2.0**31  # s: more than any simulation takes, and a stamp of ROS can hold
 _REACH_GRID = (5, 5, 3)  # poses tried along x, y and theta: odd, so that the middle is among them
 
 
@@ -104,11 +105,15 @@ class SimulatedArm:
     def restore(self, memory: Sequence[float]) -> None:
         """Be where and as the arm was whose memory (M,) this is, at its time too.
 
-        Raises CommandError, with the arm where it was, for what is no memory or lies outside the workspace.
+        Raises CommandError, with the arm where it was, for what is no memory or lies outside workspace or limits.
         """
         numbers = np.asarray(memory, dtype=np.float64)
         if numbers.shape != self.memory.shape or not np.isfinite(numbers).all():
             raise CommandError(f"memory of {numbers.size} numbers is refused: give {self.memory.size} finite ones")
+        commanded = numbers[-len(STATE_NAMES) :].tolist()
+        is_time = 0.0 <= numbers[0] * self._body.period <= _LATEST
+        if not is_time or self._limits.differ(self._limits.slowed(commanded), commanded):
+            raise CommandError("memory is refused: its time or its velocity is none that an arm within its limits has")
         before = self.memory
         self._recall(numbers)
         if not self._workspace.contains(self._pose) or abs(self.camera_height - self._height) > _HEIGHT_TOLERANCE:
