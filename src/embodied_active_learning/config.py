@@ -161,8 +161,8 @@ class ExplorationConfig:
     steps: int = setting(3000, "exploration steps, one observation each", "", 1, 1000000)
     seed: int = setting(0, "seed of every random draw", "", 0, 2**31 - 1)
     step_duration: float = setting(0.2, "time between two observations", "s", 0.01, 10.0)
-    samples: int = setting(1000, "workspace samples S", "", 10, 1000000)
-    fresh_samples: int = setting(100, "samples drawn anew at each step", "", 0, 1000000)
+    samples: int = setting(1000, "workspace samples S", "", 10, 100000)
+    fresh_samples: int = setting(100, "samples drawn anew at each step", "", 0, 100000)
     sample_box: float = setting(
         1.0, "size of the box the samples are drawn in, in workspaces; the authors take 1.15", "", 1.0, 2.0
     )
