@@ -31,3 +31,16 @@ def test_every_picture_and_file_that_the_readme_links_to_exists():
     links = re.findall(r"\]\((?!http|#)([^)]+)\)", README)
     assert links
     assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+def test_every_test_that_is_named_for_a_fault_exists():
+    named = re.findall(r"`([\w/]+\.py)::(test_\w+)`", (ROOT / "docs" / "faults.md").read_text(encoding="utf-8"))
+    assert len(named) > 50
+    sources = {path: (ROOT / "test" / path).read_text(encoding="utf-8") for path, _ in named}
+    assert [f"{path}::{name}" for path, name in named if f"def {name}(" not in sources[path]] == []
+
+
+def test_every_file_that_the_documents_link_to_exists():
+    for document in sorted((ROOT / "docs").glob("*.md")):
+        links = re.findall(r"\]\((?!http|#)([^)#]+)", document.read_text(encoding="utf-8"))
+        assert [link for link in links if not (document.parent / link).exists()] == [], document.name

@@ -121,7 +121,7 @@ class DeadPlannerTest(unittest.TestCase):
     def test_an_operators_stop_lasts_until_the_arm_is_recovered_however_long(self):
         self.assertIn("takes no command until /arm/recover", self.stop().message)
         self.wait_for_health(
-            "planner", DiagnosticStatus.ERROR, "the arm was stopped by /check_dead_planner: call arm/r"
+            "planner", DiagnosticStatus.ERROR, "the arm was stopped by /check_dead_planner: call /arm/r"
         )
         self.wait_for_health("arm", DiagnosticStatus.WARN, "stopped by /check_dead_planner: call /arm/recover to go on")
         observed, since = self.observed, len(self.states) - 1
