@@ -55,6 +55,10 @@ class ExplorationMemory:
                 return None
             if memory is None or memory.index not in (stored - 1, stored):
                 raise CorruptFileError(f"{self._path} does not tell of observation {stored}, which is next")
+            if memory.index < stored and not np.array_equal(memory.state, trajectory[-1]):
+                raise CorruptFileError(
+                    f"{self._path} is of another run: its state is not that of the newest observation"
+                )
             run = ExplorationRun(self._config, trajectory[: memory.index])
             run.recall(memory.run)
         except CorruptFileError as error:

@@ -293,12 +293,19 @@ class GuidedArm:
             with self._turn:
                 # The arm takes a stop by anybody but its driver for an emergency, and one that was started anew has
                 # no driver: so it is asked first.
-                if self.is_ours and self._arm.keep():
+                if self.is_ours and self._may_be_kept():
                     self._arm.stop()
                 self._lease.end()
             outcome.set_result(None)
         except CommandError as error:
             outcome.set_exception(error)
+
+    def _may_be_kept(self) -> bool:
+        """Whether the arm knows this node as its driver, or does not say: a node that ends gets no answers any more."""
+        try:
+            return self._arm.keep()
+        except CommandError:
+            return True
 
     def _bear(self, error: EmbodiedActiveLearningError, gives_up_at: float) -> None:
         """Say what is wrong and wait for the next try; raise it when patience or tries have ended."""
