@@ -21,7 +21,7 @@ from launching import ROOT, environment, started
 EVERYTHING = "everything"
 INTERRUPTION = "nothing, interrupted"
 TABLES = ("exploration.csv", "training.csv", "evaluation.csv")
-SHORT = ROOT / "test" / "rostest" / "short.yaml"
+PROFILE = ROOT / "test" / "faults" / "crashes.yaml"
 NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
 STEPS_BETWEEN = (0, 1, 2, 4)  # steps that are made between two kills: some come while nodes are still starting
 LONGEST_WAIT = 0.4  # s after them
@@ -82,7 +82,7 @@ def acknowledged(path: Path) -> int:
 
 def learn_arguments(root: Path, **more: object) -> List[str]:
     """Arguments of learn.launch for a short run in the session "run" below a folder."""
-    values = {"profile": SHORT, "session_root": root, "session": "run", "seed": 1, **more}
+    values = {"profile": PROFILE, "session_root": root, "session": "run", "seed": 1, **more}
     return [f"{name}:={value}" for name, value in values.items()]
 
 
