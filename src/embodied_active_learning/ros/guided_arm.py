@@ -27,8 +27,9 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros.arm_client import ArmClient, Reached
 from embodied_active_learning.ros.diagnostics import ERROR, WARN, Health
 from embodied_active_learning.ros.lease import Lease
-from embodied_active_learning.ros.node import REPEAT_AFTER, pause, wait_until
+from embodied_active_learning.ros.node import pause, wait_until
 from embodied_active_learning.ros.posed_camera import PosedCamera
+from embodied_active_learning.ros.repeats import Repeats
 
 RETRY_PERIOD = 0.5
 """Wall seconds between two tries; doubled with each failure of the arm in a row ..."""
@@ -78,7 +79,7 @@ class GuidedArm:
         self._failures = 0  # of the arm, since it last carried out more than standing still
         self._held = False
         self._trouble = ""
-        self._said_at = -math.inf
+        self._repeats = Repeats()
         self._standing = VelocityCommand(0.0, 0.0, 0.0, config.exploration.step_duration)
 
     @property
@@ -326,8 +327,9 @@ class GuidedArm:
         pause(max(0.0, min(wait, gives_up_at - time.monotonic())))
 
     def _stand_still(self, trouble: str) -> None:
-        """Say what is wrong when it is new, and again every few seconds of wall time: other time may stand still."""
-        if trouble != self._trouble or time.monotonic() > self._said_at + REPEAT_AFTER:
+        """Say what is wrong when it is new, and again every few seconds."""
+        if not self._trouble:
+            self._repeats.forget()
+        if self._repeats.is_due(trouble):
             rospy.logwarn("the arm stands still: %s", trouble)
-            self._said_at = time.monotonic()
         self._trouble = trouble

@@ -14,9 +14,7 @@ from embodied_active_learning.ros.ending import Deadline, ExitCode, leave
 from embodied_active_learning.ros.failure import count_start, report_failure
 from embodied_active_learning.ros.library_log import show_library_log
 from embodied_active_learning.ros.master import MasterWatch, wait_for_master
-from embodied_active_learning.ros.waits import REPEAT_AFTER, awaiting
-
-__all__ = ["REPEAT_AFTER", "ShutdownRequestedError", "pause", "read_config", "run_node", "try_to_draw", "wait_until"]
+from embodied_active_learning.ros.waits import awaiting
 
 
 class ShutdownRequestedError(Exception):

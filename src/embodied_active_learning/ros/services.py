@@ -14,10 +14,13 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros.node import ShutdownRequestedError, pause
+from embodied_active_learning.ros.repeats import Repeats
 from embodied_active_learning.ros.waits import awaiting
 
 # What a call raises when the other side is gone: rospy lets the socket's own errors through.
 TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, OSError)
+REFUSED_AGAIN_AFTER = 60.0
+"""Wall seconds after which the log has the same refusal again."""
 _MASTER_PERIOD = 0.5  # s of wall time between two questions to a master that does not answer
 HANDLER_FAILED = "responded with an error"  # rospy's words for an exception in the server's handler
 
@@ -121,12 +124,15 @@ def offer_service(
 
     fields_of(error) are further fields of such an answer.
     """
+    # Who waits for something asks again and again: for hours, it may be, and twice a second.
+    repeats = Repeats(REFUSED_AGAIN_AFTER)
 
     def answer(request: Any) -> Any:
         try:
             return handler(request)
         except EmbodiedActiveLearningError as error:
-            rospy.logwarn("%s refused: %s", name, error)
+            if repeats.is_due(str(error)):
+                rospy.logwarn("%s refused: %s", name, error)
             return service_class._response_class(success=False, message=str(error), **fields_of(error))
         except (ShutdownRequestedError, rospy.ROSException):
             if not rospy.is_shutdown():
