@@ -6,8 +6,8 @@
 
 Follows them until everything is learned, or for --seconds; prints a table, and exits 1 when something has grown. What
 counts is the straight line through the second half. The first is for warming up: it should be long enough for the
-trainer's first checkpoint (training/checkpoint_every), which takes memory that is kept. The trainer keeps all images in
-memory, which is what it is for: they are subtracted.
+trainer's first seven or eight checkpoints (training/checkpoint_every), which take memory that is kept and used again by
+the later ones. The trainer keeps all images in memory, which is what it is for: they are subtracted.
 """
 
 from __future__ import annotations
