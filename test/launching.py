@@ -51,14 +51,23 @@ def launch_to_the_end(home, *arguments, timeout=300):
     return (Path(home) / "launch.log").read_text()
 
 
+def processes_of(launcher):
+    """Process numbers of what a roslaunch has started, by the names of the nodes."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            words = (folder / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
+        except (OSError, IndexError, ValueError):
+            continue  # it has ended meanwhile
+        if parent == launcher:
+            name = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "master")
+            found[name] = int(folder.name)
+    return found
+
+
 def pid_of(node, launcher):
     """The process of a node that this launcher started."""
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            command = (entry / "cmdline").read_bytes().split(b"\0")
-            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-        except OSError:
-            continue
-        if parent == launcher and any(part.endswith(f"/{node}".encode()) for part in command):
-            return int(entry.name)
-    raise AssertionError(f"{node} is not running")
+    processes = processes_of(launcher)
+    assert node in processes, f"{node} is not running"
+    return processes[node]

@@ -1,13 +1,12 @@
 """One commander of the arm at a time."""
 
-import threading
-import time
 from types import SimpleNamespace
 
 import pytest
 
 from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
 from embodied_active_learning.ros.commander import Commander
+from threads import in_a_thread, wait_for
 
 
 class Clock:
@@ -20,19 +19,6 @@ class Clock:
 
 def request(caller):
     return SimpleNamespace(_connection_header={"callerid": caller})
-
-
-def in_a_thread(function):
-    thread = threading.Thread(target=function, daemon=True)
-    thread.start()
-    return thread
-
-
-def wait_for(condition):
-    ends_at = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < ends_at
-        time.sleep(0.002)
 
 
 def test_a_second_node_is_refused_with_the_name_of_the_first():

@@ -22,6 +22,7 @@ from embodied_active_learning.ros import guided_arm
 from embodied_active_learning.ros.arm_client import Reached
 from embodied_active_learning.ros.conversions import state_message
 from embodied_active_learning.ros.diagnostics import ERROR, WARN, Health
+from threads import in_a_thread, wait_for
 
 FORWARD = VelocityCommand(0.1, 0.0, 0.0, 0.2)
 REACHED = state_message(rospy.Time(1), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -152,19 +153,6 @@ def simulated(monkeypatch, camera):
     arm = SimulatedArm(camera)
     monkeypatch.setattr(guided_arm, "ArmClient", lambda: arm)
     return arm
-
-
-def in_a_thread(function, *arguments):
-    thread = threading.Thread(target=function, args=arguments, daemon=True)
-    thread.start()
-    return thread
-
-
-def wait_for(condition):
-    ends_at = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < ends_at
-        time.sleep(0.005)
 
 
 def test_a_refused_command_becomes_standing_still_until_the_arm_takes_that(arm, guided):

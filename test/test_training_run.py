@@ -1,8 +1,5 @@
 """The learning half of Algorithm 1: stores, learns in its thread, answers meanwhile, and goes on after a stop."""
 
-import threading
-from contextlib import contextmanager
-
 import numpy as np
 import pytest
 
@@ -10,9 +7,9 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.training_run import TrainingRun
+from training_thread import TIMEOUT, hand_over, observation, training
 
 STEPS = 20
-TIMEOUT = 60.0
 
 
 def configured(root, **session):
@@ -26,49 +23,24 @@ def configured(root, **session):
     )
 
 
-def observation(index):
-    random = np.random.default_rng(index)
-    state = random.uniform([0.33, -0.14, -1.9], [0.62, 0.14, 1.9])
-    return index, 0.2 * index, state, random.integers(0, 256, (45, 45, 3), dtype=np.uint8)
-
-
-@contextmanager
-def training(run):
-    """The run with its training thread going; stopped and closed when the block ends."""
-    stop, reports, finished = threading.Event(), [], threading.Event()
-    thread = threading.Thread(target=run.train, args=(stop, reports.append, finished.set))
-    thread.start()
-    try:
-        yield reports, finished
-    finally:
-        stop.set()
-        run.wake()
-        thread.join(TIMEOUT)
-        run.close()
-        assert not thread.is_alive()
-
-
-def hand_over(run, indices):
-    for index in indices:
-        run.observe(*observation(index))
-
-
 def test_updates_keep_their_ratio_to_observations(tmp_path):
     run = TrainingRun(configured(tmp_path))
-    with training(run) as (reports, _):
+    with training(run) as (reports, _, errors):
         hand_over(run, range(9))
         run.log_std(np.zeros((1, 3)), 12, TIMEOUT)
         run.save()  # by the training thread, once it has reported
         assert run.updates == 2 * (9 + 1 - 4)
         assert [report.update for report in reports] == list(range(1, 13))
         assert not run.finished
+        assert not errors
 
 
 def test_a_finished_run_leaves_model_tables_and_checkpoint(tmp_path):
     run = TrainingRun(configured(tmp_path))
-    with training(run) as (_, finished):
+    with training(run) as (_, finished, errors):
         hand_over(run, range(STEPS))
         assert finished.wait(TIMEOUT)
+        assert not errors
         assert run.finished
         assert run.updates == 2 * STEPS
     weights, facts = load_model(tmp_path / "run" / "model.safetensors")
@@ -131,9 +103,10 @@ def test_a_stopped_run_goes_on_with_every_observation_and_update(tmp_path):
     assert again.observations == 10
     assert again.updates == 14
     np.testing.assert_array_equal(again.trajectory[3], observation(3)[2])
-    with training(again) as (_, finished):
+    with training(again) as (_, finished, errors):
         hand_over(again, range(10, STEPS))
         assert finished.wait(TIMEOUT)
+        assert not errors
     updates = [line.split(",")[0] for line in (tmp_path / "run" / "training.csv").read_text().splitlines()[1:]]
     assert updates == [str(update) for update in range(1, 2 * STEPS + 1)]
 

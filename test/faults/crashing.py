@@ -16,7 +16,7 @@ from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.names import SessionPaths
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.session.session import Session
-from launching import ROOT, environment, started
+from launching import ROOT, environment, processes_of, started
 
 EVERYTHING = "everything"
 INTERRUPTION = "nothing, interrupted"
@@ -32,21 +32,6 @@ class Crash(NamedTuple):
 
     victim: str
     stored: int
-
-
-def processes_of(launch: int) -> Dict[str, int]:
-    """Process numbers of what a roslaunch has started, by the names of the nodes."""
-    found = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            words = (folder / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
-        except (OSError, IndexError, ValueError):
-            continue  # it has ended meanwhile
-        if parent == launch:
-            name = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "master")
-            found[name] = int(folder.name)
-    return found
 
 
 def kill(number: int) -> None:

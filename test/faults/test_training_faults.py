@@ -10,14 +10,14 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model import learner as learner_module
-from embodied_active_learning.model.learner import ATTEMPTS, DivergenceError
+from embodied_active_learning.model.learner import ATTEMPTS
 from embodied_active_learning.model.objective import Loss
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.training_run import ROLLBACKS, TrainingRun
+from training_thread import TIMEOUT, hand_over, observation, training
 
 STEPS = 24
-TIMEOUT = 60.0
 
 
 def configured(root, **session):
@@ -38,36 +38,6 @@ def configured(root, **session):
     )
 
 
-def observation(index):
-    random = np.random.default_rng(index)
-    state = random.uniform([0.33, -0.14, -1.9], [0.62, 0.14, 1.9])
-    return index, 0.2 * index, state, random.integers(0, 256, (45, 45, 3), dtype=np.uint8)
-
-
-@contextmanager
-def training(run):
-    """The run with its training thread going -> its finish and its errors; stopped and closed when the block ends."""
-    stop, finished, errors = threading.Event(), threading.Event(), []
-
-    def train():
-        try:
-            run.train(stop, lambda report: None, finished.set)
-        except DivergenceError as error:
-            errors.append(error)
-            finished.set()
-
-    thread = threading.Thread(target=train)
-    thread.start()
-    try:
-        yield finished, errors
-    finally:
-        stop.set()
-        run.wake()
-        thread.join(TIMEOUT)
-        run.close()
-        assert not thread.is_alive()
-
-
 def learn(run, last):
     """Hand over observations up to number `last` and ask, as a planner does, what each model says."""
     answers = {}
@@ -83,11 +53,19 @@ def learn(run, last):
 
 
 def finish(run):
-    with training(run) as (finished, errors):
+    with training(run) as (_, finished, errors):
         answers = learn(run, STEPS)
         assert finished.wait(TIMEOUT)
         assert not errors
     return answers
+
+
+def failure(run):
+    """What training says that ends with an error."""
+    with training(run) as (_, finished, errors):
+        hand_over(run, range(STEPS))
+        assert finished.wait(TIMEOUT)
+    return str(errors[0])
 
 
 def outcome(folder):
@@ -174,12 +152,9 @@ def test_batches_after_a_rollback_are_others_than_before(tmp_path, failing):
 def test_training_ends_with_the_reason_when_going_back_does_not_help(tmp_path, failing):
     failing(range(25, 10000))
     run = TrainingRun(configured(tmp_path))
-    with training(run) as (finished, errors):
-        for index in range(STEPS):
-            run.observe(*observation(index))
-        assert finished.wait(TIMEOUT)
-    assert "not finite" in str(errors[0])
-    assert f"{ROLLBACKS} times" in str(errors[0])
+    error = failure(run)
+    assert "not finite" in error
+    assert f"{ROLLBACKS} times" in error
     assert run.rollbacks == ROLLBACKS
     again = TrainingRun(configured(tmp_path, resume=True))
     assert (again.updates, again.observations) == (20, STEPS)
@@ -189,11 +164,8 @@ def test_training_ends_with_the_reason_when_going_back_does_not_help(tmp_path, f
 def test_a_gradient_that_is_not_finite_leaves_the_weights_as_they_were(tmp_path, failing):
     failing([0], "gradient")
     run = TrainingRun(configured(tmp_path))
-    with training(run) as (finished, errors):
-        for index in range(STEPS):
-            run.observe(*observation(index))
-        assert finished.wait(TIMEOUT)
-    assert "not finite" in str(errors[0])
+    error = failure(run)
+    assert "not finite" in error
     assert all(torch.isfinite(weight).all() for weight in run._learner.network.parameters())
 
 
@@ -261,7 +233,7 @@ def test_a_trainer_that_was_stopped_between_two_observations_answers_with_the_mo
 def finish_from(run, last):
     """Go on as a planner does: it asks again about the newest observation, which it may not have heard about."""
     answers = {}
-    with training(run) as (finished, _):
+    with training(run) as (_, finished, _):
         for index in range(last - 1, STEPS):
             run.observe(*observation(index))
             awaited = configured("").updates_awaited(index + 1)
