@@ -52,7 +52,7 @@ def launch_to_the_end(home, *arguments, timeout=300):
 
 
 def processes_of(launcher):
-    """Process numbers of what a roslaunch has started, by the names of the nodes."""
+    """Process numbers of what a roslaunch has started, by the names of the nodes; what has no name is the rosmaster."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -61,7 +61,7 @@ def processes_of(launcher):
         except (OSError, IndexError, ValueError):
             continue  # it has ended meanwhile
         if parent == launcher:
-            name = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "master")
+            name = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "rosmaster")
             found[name] = int(folder.name)
     return found
 
