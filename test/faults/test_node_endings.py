@@ -86,11 +86,15 @@ class Ros:
             finally:
                 process.kill()
 
+    @property
+    def api(self):
+        return xmlrpc.client.ServerProxy(self.uri)
+
     def set_parameter(self, name, value):
-        xmlrpc.client.ServerProxy(self.uri).setParam("/test", name, value)
+        self.api.setParam("/test", name, value)
 
     def parameter(self, name):
-        return xmlrpc.client.ServerProxy(self.uri).getParam("/test", name)[2]
+        return self.api.getParam("/test", name)[2]
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +179,19 @@ def test_a_node_ends_when_the_master_was_restarted(tmp_path):
         with ros.master():
             node.wait_for("waiting for something that never comes")
         with ros.master():
-            assert node.process.wait(10) == ExitCode.MASTER_LOST
+            assert node.process.wait(20) == ExitCode.MASTER_LOST
+        assert "was restarted and does not know /stub any more" in node.said
+
+
+def test_a_node_ends_when_the_master_was_restarted_even_if_the_new_one_has_heard_of_it(tmp_path):
+    ros = Ros(tmp_path)
+    with ros.node(STUB, "wait") as node:
+        with ros.master():
+            node.wait_for("waiting for something that never comes")
+            uri = ros.api.lookupNode("/test", "/stub")[2]
+        with ros.master():
+            ros.api.subscribeParam("/stub", uri, "/any")  # what rospy does when a node reads a cached parameter
+            assert node.process.wait(20) == ExitCode.MASTER_LOST
         assert "was restarted and does not know /stub any more" in node.said
 
 

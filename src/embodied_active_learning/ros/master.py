@@ -6,6 +6,7 @@ import http.client
 import sys
 import time
 from typing import Any
+from xml.parsers.expat import ExpatError
 from xmlrpc.client import Error as XmlRpcError
 from xmlrpc.client import ServerProxy, Transport
 
@@ -20,11 +21,12 @@ PERIOD = 1.0
 TIMEOUT = 3.0
 """Wall seconds within which a master answers."""
 
-_NO_ANSWER = (OSError, http.client.HTTPException, XmlRpcError)
+_NO_ANSWER = (OSError, http.client.HTTPException, XmlRpcError, ExpatError)
+"""What a call of a master can raise; the last one when it dies in the middle of its answer."""
 
 
-def wait_for_master() -> None:
-    """Return once the ROS master answers; say at once, and again every few seconds, that it does not.
+def wait_for_master() -> int:
+    """The ROS master's process number, once it answers; say at once, and again every few seconds, that it does not.
 
     To be called before init_node: rospy would wait there, too, but holding locks without which it cannot be ended.
     """
@@ -33,8 +35,7 @@ def wait_for_master() -> None:
     say_at = time.monotonic()
     while True:
         try:
-            master.getPid("/waiting")
-            return
+            return int(master.getPid("/waiting")[2])
         except _NO_ANSWER as error:
             if time.monotonic() >= say_at:
                 # Not yet by the log, which a node has only when it has begun.
@@ -48,10 +49,14 @@ class MasterWatch:
 
     A master that was restarted knows neither nodes nor parameters: nobody new would find this node, and it would find
     nobody. A cable that was pulled breaks nothing that is connected.
+
+    Its process number tells, too, because rospy makes a node known again, and no more than that, when it reads a cached
+    parameter of the new master, as it does for the first message on the log. In a container both may have number 1.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, pid: int) -> None:
         self.lost = False
+        self._pid = pid
         self._uri = rosgraph.get_master_uri()
         self._master = ServerProxy(self._uri, transport=_PunctualTransport())
         self._silence = ""
@@ -70,11 +75,13 @@ class MasterWatch:
         """Whether the master has answered; the node is ended when the answer is that it does not know it."""
         name = rospy.get_name()
         try:
+            _, _, pid = self._master.getPid(name)
             code, _, uri = self._master.lookupNode(name, name)
         except _NO_ANSWER as error:
             self._silence = str(error) or type(error).__name__
             return False
-        if (code != 1 or uri != rospy.get_node_uri()) and not rospy.is_shutdown():
+        known = code == 1 and uri == rospy.get_node_uri() and pid == self._pid
+        if not known and not rospy.is_shutdown():
             self.lost = True
             reason = f"the ROS master at {self._uri} was restarted and does not know {name} any more"
             rospy.logfatal("%s", reason)

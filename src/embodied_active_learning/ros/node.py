@@ -40,10 +40,10 @@ def run_node(
 def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool) -> ExitCode:
     watch = None
     try:
-        wait_for_master()
+        master = wait_for_master()
         rospy.init_node(name)
         show_library_log()
-        watch = MasterWatch()
+        watch = MasterWatch(master)
         count_start()
         if needs_clock:
             wait_until(_clock_is_there, lambda: "/clock: /use_sim_time is true but nobody publishes it")
