@@ -81,7 +81,7 @@ def test_an_empty_section_of_a_profile_changes_nothing(tmp_path):
 
 
 def test_an_unknown_profile_is_answered_with_those_there_are():
-    with pytest.raises(ConfigError, match="there are authors_hardware, authors_simulation, demo, paper"):
+    with pytest.raises(ConfigError, match="there are authors_hardware, authors_simulation, demo, franka, paper"):
         find_profile("papper", ROOT / "config")
 
 

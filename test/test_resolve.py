@@ -48,6 +48,49 @@ def test_a_resumed_session_refuses_what_its_data_depends_on(tmp_path):
         resolve("", override(tmp_path, session__resume="true", exploration__seed=5))
 
 
+def test_a_real_robot_has_its_own_limits_whatever_the_runs_profile_says(tmp_path):
+    profile = tmp_path / "fast.yaml"
+    profile.write_text("arm: {max_speed: 0.3}\nexploration: {steps: 200}\n")
+    config = resolve(str(profile), override(tmp_path, arm__robot="franka"))
+    assert config.exploration.steps == 200
+    assert config.arm.max_speed == resolve("", override(tmp_path, arm__robot="franka")).arm.max_speed < 0.3
+
+
+def test_a_lab_gives_its_own_values_of_the_robot(tmp_path):
+    lab = tmp_path / "lab.yaml"
+    lab.write_text("franka: {table_height: 0.12}\n")
+    config = resolve("demo", override(tmp_path, arm__robot="franka"), str(lab))
+    assert config.franka.table_height == 0.12
+
+
+def test_a_run_on_a_real_robot_is_named_after_it_and_not_after_a_simulated_world(tmp_path):
+    config = resolve("demo", override(tmp_path, arm__robot="franka", session__name=""))
+    assert config.session.name.startswith("franka-ergodic-seed0-")
+
+
+def test_a_world_cannot_be_chosen_for_a_real_robot(tmp_path):
+    with pytest.raises(ConfigError, match="only a simulated table can be chosen"):
+        resolve("demo", override(tmp_path, arm__robot="franka", simulation__world="right"))
+
+
+def test_a_profile_of_a_robot_is_refused_in_simulation(tmp_path):
+    with pytest.raises(ConfigError, match="is for a real robot"):
+        resolve("demo", override(tmp_path), "franka")
+
+
+def test_a_resumed_session_keeps_its_robot_and_what_was_measured_of_it(tmp_path):
+    lab = tmp_path / "lab.yaml"
+    lab.write_text("franka: {table_height: 0.12}\n")
+    Session.open_for_writing(resolve("demo", override(tmp_path, arm__robot="franka"), str(lab))).close()
+    again = resolve("", override(tmp_path, session__resume="true", arm__robot="franka"))
+    assert again.franka.table_height == 0.12
+    with pytest.raises(SessionError, match="arm/robot is 'pybullet' but the session has 'franka'"):
+        resolve("", override(tmp_path, session__resume="true", arm__robot="pybullet"))
+    lab.write_text("franka: {table_height: 0.2}\n")
+    with pytest.raises(SessionError, match="franka/table_height"):
+        resolve("", override(tmp_path, session__resume="true", arm__robot="franka"), str(lab))
+
+
 @pytest.mark.parametrize(
     ("overrides", "error", "expected"),
     [

@@ -21,8 +21,17 @@ from embodied_active_learning.workspace import STATE_NAMES, Workspace
 _PROFILE_READER = FileReader(
     ConfigError, "give the path of a profile, sections of keys as in config/paper.yaml", follow=True
 )
+_FRANKA_LENGTHS = {
+    "camera_position": 3,
+    "camera_rotation": 3,
+    "torque_limits": 7,
+    "force_limits": 6,
+    "load_centre": 3,
+    "load_inertia": 3,
+}
 _LONGEST_KEY = 80  # characters of an unknown key that are looked at and told
 EXPLORERS = ("ergodic", "random_walk", "uniform", "uniform_ergodic")
+SIMULATED, REAL, RECORDED = ROBOTS = ("pybullet", "franka", "recording")
 
 
 def setting(
@@ -77,8 +86,14 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class ArmConfig:
-    """Limits that the node in front of the robot keeps, whoever commands it."""
+    """Which arm it is, and the limits that the node in front of it keeps, whoever commands it."""
 
+    robot: str = setting(
+        SIMULATED,
+        "whose images and poses these are: the simulated arm's, a Panda's under franka_ros, or recorded ones",
+        "",
+        choices=ROBOTS,
+    )
     max_speed: float = setting(0.15, "limit of the camera's speed along each of x and y", "m/s", 0.001, 1.0)
     max_turn_rate: float = setting(1.5, "limit of the camera's yaw rate", "rad/s", 0.001, 2.6)
     # So much on every axis at once takes four fifths of what a Panda's second joint can do (7.5 rad/s^2), and less of
@@ -316,6 +331,68 @@ class SimulationConfig:
 
 
 @dataclass(frozen=True)
+class FrankaConfig:
+    """A real Panda under franka_ros: what differs from lab to lab, and what the arm may feel and do by itself."""
+
+    table_height: float = setting(0.0, "height of the table's surface in the base frame", "m", -1.0, 1.0)
+    camera_position: Tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "optical centre of the camera in the robot's end effector frame (EE)", "m", -0.5, 0.5
+    )
+    camera_rotation: Tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0),
+        "camera_optical_frame in the end effector frame: roll, pitch, yaw about fixed axes",
+        "rad",
+        -math.pi,
+        math.pi,
+    )
+    rate: float = setting(100.0, "set-points per second that are sent to the impedance controller", "Hz", 20.0, 500.0)
+    max_lead: float = setting(0.05, "farthest that a set-point is ahead of the measured pose", "m", 0.005, 0.1)
+    max_turn_lead: float = setting(0.3, "farthest that a set-point is turned ahead of it", "rad", 0.02, 0.6)
+    max_height_error: float = setting(
+        0.03, "farthest that the camera may be above or below its height when motion begins", "m", 0.001, 0.2
+    )
+    max_tilt: float = setting(
+        0.15, "farthest that the camera may look away from straight down when motion begins", "rad", 0.005, 0.5
+    )
+    stiffness: float = setting(200.0, "translational stiffness of the impedance controller", "N/m", 50.0, 400.0)
+    turn_stiffness: float = setting(10.0, "rotational stiffness of the impedance controller", "Nm/rad", 2.0, 30.0)
+    state_max_age: float = setting(
+        0.2, "age of the robot's state beyond which the arm is held where it was seen last", "s", 0.02, 2.0
+    )
+    coast: float = setting(
+        0.2, "time after a move for which its velocity is kept for the next one, before the arm brakes", "s", 0.0, 1.0
+    )
+    recoveries: int = setting(
+        3,
+        "reflexes in a row after which the arm recovers by itself; then a person has to call /arm/recover",
+        "",
+        0,
+        100,
+    )
+    torque_limits: Tuple[float, ...] = setting(
+        (20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0),
+        "external torque of each joint above which a collision reflex stops the arm",
+        "Nm",
+        1.0,
+        100.0,
+    )
+    force_limits: Tuple[float, ...] = setting(
+        (20.0, 20.0, 20.0, 25.0, 25.0, 25.0),
+        "external force (3) and torque (3) at the end effector above which a collision reflex stops the arm",
+        "N, Nm",
+        1.0,
+        100.0,
+    )
+    load_mass: float = setting(0.0, "mass of camera and mount, if Desk does not know it yet", "kg", 0.0, 3.0)
+    load_centre: Tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "centre of mass of that load in the flange frame", "m", -0.5, 0.5
+    )
+    load_inertia: Tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "moments of inertia of that load about its centre: Ixx, Iyy, Izz", "kg m^2", 0.0, 1.0
+    )
+
+
+@dataclass(frozen=True)
 class Config:
     """Everything that a run depends on."""
 
@@ -323,6 +400,7 @@ class Config:
     camera: CameraConfig = field(default_factory=CameraConfig)
     arm: ArmConfig = field(default_factory=ArmConfig)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    franka: FrankaConfig = field(default_factory=FrankaConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -335,11 +413,16 @@ class Config:
     def __post_init__(self) -> None:
         """Check what no single value can: limits against each other."""
         box = self.workspace.box()
-        if len(self.simulation.start) != box.size or not box.contains(self.simulation.start):
+        start = self.simulation.start
+        if self.arm.robot == SIMULATED and (len(start) != box.size or not box.contains(start)):
             raise ConfigError(
-                f"simulation/start {list(self.simulation.start)} lies outside the workspace: move it, or "
+                f"simulation/start {list(start)} lies outside the workspace: move it, or "
                 "enlarge workspace/x, workspace/y, workspace/theta"
             )
+        for key, count in _FRANKA_LENGTHS.items():
+            given = len(getattr(self.franka, key))
+            if given != count:
+                raise ConfigError(f"franka/{key} has {given} numbers: give {count}")
         if len(self.identification.cells) != box.size:
             raise ConfigError(
                 f"identification/cells needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, Sequence
 
-from embodied_active_learning.config import Config, find_profile, load_profile, merge, settings
+from embodied_active_learning.config import REAL, SIMULATED, Config, find_profile, load_profile, merge, settings
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.reading import parse_yaml, shown
 from embodied_active_learning.session.names import LONGEST_NAME, check_name
@@ -18,42 +18,61 @@ from embodied_active_learning.simulation.resources import PACKAGE, package_folde
 from embodied_active_learning.simulation.world import find_world, load_world
 
 
-def resolve(profile: str, overrides: Sequence[str]) -> Config:
+def resolve(profile: str, overrides: Sequence[str], robot_profile: str = "") -> Config:
     """The configuration of one run: a profile (name in config/, or path) with SECTION/KEY=VALUE overrides.
 
-    No profile is the paper's, or for a session that is resumed the configuration that it was made with. An override
-    without a value changes nothing. The world's path and the session's name are filled in. Raises ConfigError,
-    WorldError or SessionError, for whatever would keep the run from starting.
+    No profile is the paper's, or for a session that is resumed the configuration that it was made with. A real robot
+    has a profile of its own, by name or path, whose limits win over those of the run's profile; none is its name in
+    config/. An override without a value changes nothing. The world's path and the session's name are filled in.
+    Raises ConfigError, WorldError or SessionError, for whatever would keep the run from starting.
     """
     changes: Dict[str, Dict[str, Any]] = {}
     for override in overrides:
         changes = merge(changes, _parse_override(override))
-    config = Config.from_dict(merge(_base(profile, changes), changes))
-    world = Path(os.path.realpath(find_world(config.simulation.world)))
-    load_world(str(world), config.workspace.box())
-    simulation = replace(config.simulation, world=str(world))
-    name = config.session.name or _session_name(config, world.stem)
+    config = Config.from_dict(merge(_base(profile, robot_profile, changes), changes))
+    if config.arm.robot == SIMULATED:
+        if robot_profile:
+            raise ConfigError(
+                f"the robot profile {shown(robot_profile)} is for a real robot: set arm/robot, or leave it out"
+            )
+        config = _with_world(config)
+    elif "world" in changes.get("simulation", {}):
+        raise ConfigError(
+            f"simulation/world is given, but arm/robot is {config.arm.robot}: only a simulated table can be chosen"
+        )
+    name = config.session.name or _session_name(config)
     root = os.path.realpath(session_root(config))
-    config = replace(config, simulation=simulation, session=replace(config.session, name=name, root=root))
+    config = replace(config, session=replace(config.session, name=name, root=root))
     check_session(config)
     return config
 
 
-def _base(profile: str, changes: Dict[str, Dict[str, Any]]) -> Dict[str, Any]:
+def _with_world(config: Config) -> Config:
+    """The configuration with the path of its world, which is checked."""
+    world = os.path.realpath(find_world(config.simulation.world))
+    load_world(world, config.workspace.box())
+    return replace(config, simulation=replace(config.simulation, world=world))
+
+
+def _base(profile: str, robot_profile: str, changes: Dict[str, Dict[str, Any]]) -> Dict[str, Any]:
     """What the overrides apply to."""
-    given = Config.from_dict({"session": changes.get("session", {})})
+    folder = package_folder(PACKAGE) / "config"
+    given = Config.from_dict({section: changes.get(section, {}) for section in ("session", "arm")})
     stored: Dict[str, Any] = {}
     if given.session.resume:
         path = session_path(given)
         if path.is_dir():
             stored = Session.open_read_only(path).config.to_dict()
-    if not profile and stored:
-        return stored
-    return merge(stored, load_profile(find_profile(profile or "paper", package_folder(PACKAGE) / "config")))
+    base = stored if stored and not profile else merge(stored, load_profile(find_profile(profile or "paper", folder)))
+    if not robot_profile and not stored and given.arm.robot == REAL:
+        robot_profile = REAL
+    return merge(base, load_profile(find_profile(robot_profile, folder))) if robot_profile else base
 
 
-def _session_name(config: Config, world: str) -> str:
+def _session_name(config: Config) -> str:
     """A legal name, however the world is called, and however long explorer and seed are."""
+    simulated = config.arm.robot == SIMULATED
+    world = Path(config.simulation.world).stem if simulated else config.arm.robot
     exploration = config.exploration
     rest = f"-{exploration.explorer}-seed{exploration.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
     stem = re.sub("[^a-z0-9]+", "-", world.lower()).strip("-")[: min(20, LONGEST_NAME - len(rest))] or "world"

@@ -8,6 +8,7 @@ from typing import Dict, List, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from embodied_active_learning.config import SIMULATED
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.figures.mosaic import top_view
 from embodied_active_learning.figures.style import GREY, LARGE, SMALL, colour, label, new_figure, quiet, save
@@ -44,7 +45,9 @@ def _columns(sessions: Sequence[Session]) -> Dict[str, List[Session]]:
     columns: Dict[str, List[Session]] = {}
     for session in sorted(sessions, key=lambda one: one.config.exploration.explorer != "ergodic"):
         explorer = session.config.exploration.explorer
-        world = Path(session.config.simulation.world).stem.capitalize()
+        config = session.config
+        where = config.simulation.world if config.arm.robot == SIMULATED else config.arm.robot
+        world = Path(where).stem.capitalize()
         title = world if explorer == "ergodic" else f"{world}, {explorer.replace('_', ' ')}"
         columns.setdefault(title, []).append(session)
     return columns

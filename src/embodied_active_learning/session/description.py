@@ -21,6 +21,8 @@ _READER = FileReader(CorruptFileError, "restore it, or choose another session")
 FIXED: Tuple[Tuple[str, Tuple[str, ...]], ...] = (
     ("workspace", ()),
     ("camera", ("width", "height", "field_of_view", "distance")),
+    ("arm", ("robot",)),
+    ("franka", ("table_height", "camera_position", "camera_rotation")),
     ("model", ()),
     ("simulation", ("world",)),
     ("exploration", ("explorer", "seed")),

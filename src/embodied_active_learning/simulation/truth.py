@@ -1,10 +1,10 @@
-"""What really stands on the simulated table: for pictures and tables, never for what the system decides."""
+"""What really stands on a simulated table: for pictures and tables, never for what the system decides."""
 
 from __future__ import annotations
 
 from typing import Dict, List, Sequence, Tuple
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import FingerprintSet
@@ -13,7 +13,9 @@ from embodied_active_learning.simulation.world import load_world
 
 
 def true_objects(config: Config) -> List[Location]:
-    """The objects of the configured world; none where there is no such world."""
+    """The objects of the configured world; none where there is no such world, or the table is not simulated."""
+    if config.arm.robot != SIMULATED:
+        return []
     try:
         world = load_world(config.simulation.world, config.workspace.box())
     except WorldError:
