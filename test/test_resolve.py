@@ -3,7 +3,7 @@
 import pytest
 
 from embodied_active_learning.errors import ConfigError, SessionError, WorldError
-from embodied_active_learning.resolve import resolve
+from embodied_active_learning.resolve import check_bringup, resolve
 from embodied_active_learning.session.session import Session
 
 
@@ -76,6 +76,25 @@ def test_a_world_cannot_be_chosen_for_a_real_robot(tmp_path):
 def test_a_profile_of_a_robot_is_refused_in_simulation(tmp_path):
     with pytest.raises(ConfigError, match="is for a real robot"):
         resolve("demo", override(tmp_path), "franka")
+
+
+@pytest.mark.parametrize(
+    ("robot", "bringup", "robot_ip", "expected"),
+    [
+        ("franka", "all", "", "robot_ip is missing"),
+        ("franka", "some", "172.16.0.2", "legal are all, nodes, none"),
+        ("recording", "all", "", "nothing is to be started"),
+    ],
+)
+def test_an_arm_that_cannot_be_started_is_refused(tmp_path, robot, bringup, robot_ip, expected):
+    config = resolve("demo", override(tmp_path, arm__robot=robot))
+    with pytest.raises(ConfigError, match=expected):
+        check_bringup(config, bringup, robot_ip)
+
+
+@pytest.mark.parametrize(("robot", "bringup"), [("pybullet", "all"), ("franka", "nodes"), ("recording", "none")])
+def test_an_arm_needs_no_address_where_nothing_is_to_be_connected_to_it(tmp_path, robot, bringup):
+    check_bringup(resolve("demo", override(tmp_path, arm__robot=robot)), bringup, "")
 
 
 def test_a_resumed_session_keeps_its_robot_and_what_was_measured_of_it(tmp_path):

@@ -9,13 +9,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, Sequence
 
-from embodied_active_learning.config import REAL, SIMULATED, Config, find_profile, load_profile, merge, settings
+from embodied_active_learning.config import (
+    REAL,
+    RECORDED,
+    SIMULATED,
+    Config,
+    find_profile,
+    load_profile,
+    merge,
+    settings,
+)
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.reading import parse_yaml, shown
 from embodied_active_learning.session.names import LONGEST_NAME, check_name
 from embodied_active_learning.session.session import Session, check_session, session_path, session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 from embodied_active_learning.simulation.world import find_world, load_world
+
+BRINGUPS = ("all", "nodes", "none")
+"""What of the arm a launch file starts: everything, all but a real arm's drivers, or nothing."""
 
 
 def resolve(profile: str, overrides: Sequence[str], robot_profile: str = "") -> Config:
@@ -45,6 +57,19 @@ def resolve(profile: str, overrides: Sequence[str], robot_profile: str = "") -> 
     config = replace(config, session=replace(config.session, name=name, root=root))
     check_session(config)
     return config
+
+
+def check_bringup(config: Config, bringup: str, robot_ip: str) -> None:
+    """Check what launch files are told about starting the arm. Raises ConfigError."""
+    if bringup not in BRINGUPS:
+        raise ConfigError(f"bringup is {shown(bringup)}: legal are {', '.join(BRINGUPS)}")
+    if config.arm.robot == RECORDED and bringup != "none":
+        raise ConfigError("arm/robot is recording: nothing is to be started for it")
+    if config.arm.robot == REAL and bringup == "all" and not robot_ip:
+        raise ConfigError(
+            "robot_ip is missing: give the address of the Panda's controller, robot_ip:=172.16.0.2 say, or "
+            "bringup:=nodes where franka_ros and the camera's driver run already"
+        )
 
 
 def _with_world(config: Config) -> Config:
