@@ -1,0 +1,86 @@
+"""Two computers and the cable between them: network namespaces of this one, joined by a switch."""
+
+import os
+import shutil
+import subprocess
+from contextlib import contextmanager
+
+ROBOT, SERVER = "robot", "server"
+ADDRESSES = {ROBOT: "10.77.0.1", SERVER: "10.77.0.2"}
+
+
+class TwoHosts:
+    """Where processes run as if on two computers. Several tests may do so at once."""
+
+    def __init__(self):
+        self._switch = f"eal-switch-{os.getpid()}"
+
+    def namespace(self, host):
+        return f"eal-{host}-{os.getpid()}"
+
+    def command(self, host, *words):
+        """What runs a command on a host."""
+        return ["ip", "netns", "exec", self.namespace(host), *map(str, words)]
+
+    def environment(self, host, home):
+        """The variables of docs/machines.md, for one host."""
+        variables = {key: value for key, value in os.environ.items() if key != "ROS_HOSTNAME"}
+        return {
+            **variables,
+            "ROS_MASTER_URI": f"http://{ADDRESSES[ROBOT]}:11311",
+            "ROS_IP": ADDRESSES[host],
+            "ROS_HOME": str(home),
+            "ROSCONSOLE_FORMAT": "${node}: ${message}",
+        }
+
+    def pull_cable(self):
+        """Between the server and the switch: both see that, or see nothing, as with real ones."""
+        self._ip("-n", self._switch, "link", "set", SERVER, "down")
+
+    def plug_cable(self):
+        self._ip("-n", self._switch, "link", "set", SERVER, "up")
+
+    def make(self):
+        self._ip("netns", "add", self._switch)
+        self._ip("-n", self._switch, "link", "add", "bridge", "type", "bridge")
+        self._ip("-n", self._switch, "link", "set", "bridge", "up")
+        for host, address in ADDRESSES.items():
+            namespace = self.namespace(host)
+            self._ip("netns", "add", namespace)
+            self._ip("-n", self._switch, "link", "add", host, "type", "veth", "peer", "eth0", "netns", namespace)
+            self._ip("-n", self._switch, "link", "set", host, "master", "bridge", "up")
+            self._ip("-n", namespace, "address", "add", f"{address}/24", "dev", "eth0")
+            self._ip("-n", namespace, "link", "set", "eth0", "up")
+            self._ip("-n", namespace, "link", "set", "lo", "up")
+
+    def remove(self):
+        for name in (self._switch, *map(self.namespace, ADDRESSES)):
+            subprocess.run(["ip", "netns", "delete", name], check=False, capture_output=True)
+
+    def _ip(self, *words):
+        subprocess.run(["ip", *words], check=True, capture_output=True)
+
+
+def why_not():
+    """Why namespaces cannot be made here; empty when they can."""
+    if shutil.which("ip") is None:
+        return "there is no ip (iproute2)"
+    hosts = TwoHosts()
+    try:
+        hosts.make()
+    except subprocess.CalledProcessError as error:
+        return f"network namespaces cannot be made here: {error.stderr.decode().strip()}"
+    finally:
+        hosts.remove()
+    return ""
+
+
+@contextmanager
+def two_hosts():
+    """Two hosts and a cable, for as long as the block lasts."""
+    hosts = TwoHosts()
+    try:
+        hosts.make()
+        yield hosts
+    finally:
+        hosts.remove()
