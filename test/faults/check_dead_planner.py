@@ -138,7 +138,7 @@ class DeadPlannerTest(unittest.TestCase):
         pause, resume = (rospy.ServiceProxy(f"planner/{name}", Trigger) for name in ("pause", "resume"))
         self.assertTrue(pause().success)
         self.assertTrue(self.stop().success)
-        self.wait_for(lambda: rospy.get_param("/ergodic_planner/paused_for", ""), "the pause was not kept")
+        self.wait_for(lambda: rospy.get_param("/ergodic_planner/paused_by", ""), "the pause was not kept")
         self.wait_for(lambda: rospy.get_param("/pybullet_arm/stopped_by", ""), "the stop was not kept")
         observed = self.observed
         self.planner.kill()

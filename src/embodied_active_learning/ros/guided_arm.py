@@ -124,12 +124,6 @@ class GuidedArm:
         """Whether commands are held back."""
         return not self._going.is_set()
 
-    @property
-    def awaited(self) -> str:
-        """What a pause waits for; empty when there is none."""
-        with self._switch:
-            return self._awaited if self.is_paused else ""
-
     def wait(self) -> None:
         """Return once arm and camera are there. Raises ShutdownRequestedError."""
         self._arm.wait()

@@ -45,7 +45,7 @@ FAILURE_PARAMETER = "failure"
 STARTS_PARAMETER = "starts"
 # Kept by the master for a node that is killed and started again; the launch files begin with them empty.
 STOPPED_BY = "~stopped_by"
-PAUSED_FOR = "~paused_for"
+PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 
 BASE_FRAME = "panda_link0"
