@@ -10,8 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import metres_per_pixel, move, pixels_of, pose_distance, table_points, wrap
-from embodied_active_learning.simulation.scene import Scene, intrinsics, optical_rotation
+from embodied_active_learning.geometry import (
+    field_of_view,
+    intrinsics,
+    metres_per_pixel,
+    move,
+    pixels_of,
+    pose_distance,
+    table_points,
+    wrap,
+)
+from embodied_active_learning.simulation.scene import Scene, optical_rotation
 from embodied_active_learning.simulation.world import load_world
 from embodied_active_learning.workspace import Workspace
 
@@ -152,3 +161,9 @@ def test_turn_between_poses_is_taken_the_short_way():
     distance, turn = pose_distance(np.array([3.0, 0.0, 3.0]), np.array([0.0, 4.0, -3.0]))
     assert distance == pytest.approx(5.0)
     assert turn == pytest.approx(2 * math.pi - 6.0)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_camera_matrix_tells_the_field_of_view_that_it_was_made_for(camera):
+    matrix = intrinsics(camera.width, camera.height, camera.field_of_view)
+    assert field_of_view(matrix, camera.height) == pytest.approx(camera.field_of_view)

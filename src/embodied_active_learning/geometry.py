@@ -19,6 +19,17 @@ def wrap(angles: np.ndarray) -> np.ndarray:
     return np.where(wrapped < math.pi, wrapped, -math.pi)  # the remainder of a tiny negative number is the whole circle
 
 
+def intrinsics(width: int, height: int, field_of_view: float) -> np.ndarray:
+    """(3, 3) K of a camera with square pixels whose principal point is the middle of the image; degrees, vertical."""
+    focal = height / (2.0 * math.tan(math.radians(field_of_view) / 2.0))
+    return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
+
+
+def field_of_view(matrix: np.ndarray, height: int) -> float:
+    """Vertical field of view [deg] of a camera with K (3, 3) whose images are so many pixels high."""
+    return math.degrees(2.0 * math.atan(height / (2.0 * matrix[1, 1])))
+
+
 def metres_per_pixel(camera: CameraConfig) -> float:
     """Size of an image pixel on the table."""
     return 2.0 * camera.distance * math.tan(math.radians(camera.field_of_view) / 2.0) / camera.height

@@ -15,6 +15,7 @@ from visualization_msgs.msg import Marker
 
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.msg import PlanarState
+from embodied_active_learning.pictures import decode_raw
 from embodied_active_learning.ros import names
 from embodied_active_learning.workspace import Workspace
 
@@ -59,14 +60,7 @@ def image_array(message: Image, height: int, width: int) -> np.ndarray:
             f"image is {message.width} x {message.height} pixels, the model takes {width} x {height}: "
             "set camera/width and camera/height, or scale the image before it gets here"
         )
-    if message.step < 3 * width or len(message.data) != message.step * height:
-        raise ObservationError(
-            f"image has {len(message.data)} bytes in rows of {message.step}: "
-            f"expected {height} rows of {3 * width} bytes or more"
-        )
-    rows = np.frombuffer(message.data, np.uint8).reshape(height, message.step)
-    image = rows[:, : 3 * width].reshape(height, width, 3)
-    return image if message.encoding == "rgb8" else image[..., ::-1]
+    return decode_raw(message.data, message.encoding, height, width, message.step)
 
 
 def camera_info_message(stamp: rospy.Time, intrinsics: np.ndarray, height: int, width: int) -> CameraInfo:

@@ -11,6 +11,10 @@ JOINT_STATES = "joint_states"
 
 CAMERA_IMAGE = "camera/image_raw"
 CAMERA_INFO = "camera/camera_info"
+# What the driver of a real camera publishes; the names are usb_cam's.
+USB_CAM_IMAGE = "usb_cam/image_raw"
+USB_CAM_COMPRESSED = "usb_cam/image_raw/compressed"
+USB_CAM_INFO = "usb_cam/camera_info"
 
 TRAINER_OBSERVE = "trainer/observe"
 TRAINER_ENTROPY = "trainer/entropy"

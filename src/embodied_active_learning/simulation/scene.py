@@ -12,6 +12,7 @@ import pybullet
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.geometry import intrinsics
 from embodied_active_learning.simulation.table_picture import TablePicture
 from embodied_active_learning.simulation.world import PlacedObject, World
 
@@ -144,12 +145,6 @@ def optical_rotation(theta: float) -> np.ndarray:
     """(3, 3) orientation of the optical frame in the base frame, tool pointing down: Rz(theta) Rx(pi)."""
     cosine, sine = math.cos(theta), math.sin(theta)
     return np.array([[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
-
-
-def intrinsics(width: int, height: int, field_of_view: float) -> np.ndarray:
-    """(3, 3) K of a camera with square pixels whose principal point is the middle of the image; degrees, vertical."""
-    focal = height / (2.0 * math.tan(math.radians(field_of_view) / 2.0))
-    return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
 
 
 def _view_matrix(camera: np.ndarray) -> Tuple[float, ...]:

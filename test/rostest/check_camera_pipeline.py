@@ -1,0 +1,164 @@
+#!/usr/bin/env python3
+"""The camera pipeline as a node: pictures of every encoding become the model's images, and the rest is told."""
+
+import threading
+import unittest
+
+import cv2
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
+
+import rostest
+from embodied_active_learning.geometry import field_of_view, intrinsics
+from embodied_active_learning.ros.conversions import camera_info_message, image_array
+
+TIMEOUT = 30.0
+HEIGHT, WIDTH = 360, 640
+
+
+def checkerboard():
+    """Squares of 80 pixels in two colours, as the middle of a wide picture that is white at the sides."""
+    rows, columns = np.mgrid[0:HEIGHT, 0:HEIGHT] // 80
+    middle = np.where((rows + columns)[..., None] % 2, (200, 60, 20), (20, 60, 200))
+    picture = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    picture[:, (WIDTH - HEIGHT) // 2 : (WIDTH + HEIGHT) // 2] = middle
+    return picture
+
+
+def packed(picture, order):
+    """A picture in a 4:2:2 encoding: each two pixels that share their colour are the same here."""
+    y, v, u = np.moveaxis(cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb).astype(float), -1, 0)
+    y, u, v = 16 + y * 219 / 255, 128 + (u - 128) * 224 / 255, 128 + (v - 128) * 224 / 255
+    pixels = np.empty((HEIGHT, WIDTH, 2), np.uint8)
+    pixels[..., order.index("Y")] = np.rint(y)
+    pixels[:, 0::2, order.index("U") % 2], pixels[:, 1::2, order.index("U") % 2] = (
+        np.rint(u[:, 0::2]),
+        np.rint(v[:, 1::2]),
+    )
+    return pixels
+
+
+class Inbox:
+    """What arrives on a topic; waits for what is wanted."""
+
+    def __init__(self, topic, message_class):
+        self._messages, self._condition = [], threading.Condition()
+        self.subscriber = rospy.Subscriber(topic, message_class, self._add)
+
+    def _add(self, message):
+        with self._condition:
+            self._messages.append(message)
+            self._condition.notify_all()
+
+    def wait_for(self, wanted):
+        with self._condition:
+            found = self._condition.wait_for(lambda: [item for item in self._messages if wanted(item)], TIMEOUT)
+        assert found, "it did not arrive"
+        return found[-1]
+
+
+class CameraPipelineTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.camera = rospy.Publisher("usb_cam/image_raw", Image, queue_size=1)
+        cls.calibration = rospy.Publisher("usb_cam/camera_info", CameraInfo, queue_size=1)
+        cls.compressed = rospy.Publisher("compressed/usb_cam/image_raw/compressed", CompressedImage, queue_size=1)
+        cls.images, cls.infos = Inbox("camera/image_raw", Image), Inbox("camera/camera_info", CameraInfo)
+        cls.from_compressed = Inbox("compressed/camera/image_raw", Image)
+        cls.log, cls.diagnostics = Inbox("/rosout", Log), Inbox("/diagnostics", DiagnosticArray)
+        ends = (cls.camera, cls.calibration, cls.compressed, cls.images.subscriber, cls.from_compressed.subscriber)
+        give_up_at = rospy.get_time() + TIMEOUT
+        while not all(end.get_num_connections() for end in ends):
+            assert rospy.get_time() < give_up_at, "the nodes did not start"
+            rospy.rostime.wallsleep(0.05)
+        cls.stamp = rospy.Time(100)
+
+    def next_stamp(self):
+        type(self).stamp += rospy.Duration(0, 33333333)
+        return self.stamp
+
+    def show(self, array, encoding, padding=0):
+        """Publish a picture -> the image that comes of it."""
+        rows = np.pad(array.reshape(array.shape[0], -1), ((0, 0), (0, padding)))
+        header = Header(stamp=self.next_stamp(), frame_id="head_camera")
+        height, width = array.shape[:2]
+        self.camera.publish(Image(header, height, width, encoding, 0, rows.shape[1], rows.tobytes()))
+        return self.images.wait_for(lambda message: message.header.stamp == header.stamp)
+
+    def test_every_encoding_becomes_the_image_of_the_model_at_the_pictures_own_stamp(self):
+        picture = checkerboard()
+        expected = cv2.resize(picture[:, 140:500], (180, 180), interpolation=cv2.INTER_AREA)
+        alpha = np.full((HEIGHT, WIDTH, 1), 255, np.uint8)
+        for encoding, array, tolerance in (
+            ("rgb8", picture, 0),
+            ("bgr8", picture[..., ::-1], 0),
+            ("rgba8", np.concatenate([picture, alpha], axis=-1), 0),
+            ("yuyv", packed(picture, "YUYV"), 4),
+            ("yuv422", packed(picture, "UYVY"), 4),
+        ):
+            with self.subTest(encoding):
+                message = self.show(array, encoding, padding=16)
+                self.assertEqual(message.header.frame_id, "camera_optical_frame")
+                image = image_array(message, 180, 180)
+                np.testing.assert_allclose(image.astype(int), expected, atol=tolerance)
+
+    def test_a_picture_of_the_right_size_is_passed_on_as_it_is(self):
+        picture = np.random.default_rng(0).integers(0, 256, (180, 180, 3), dtype=np.uint8)
+        message = self.show(picture, "rgb8")
+        self.assertEqual(message.data, picture.tobytes())
+        self.assertEqual(message.header.frame_id, "camera_optical_frame")
+
+    def test_compressed_pictures_are_taken_where_the_node_is_told_so(self):
+        picture = checkerboard()
+        for ending in ("png", "jpg"):
+            with self.subTest(ending):
+                _, data = cv2.imencode(f".{ending}", picture[..., ::-1])
+                header = Header(stamp=self.next_stamp())
+                self.compressed.publish(CompressedImage(header, f"rgb8; {ending} compressed bgr8", data.tobytes()))
+                message = self.from_compressed.wait_for(
+                    lambda message, stamp=header.stamp: message.header.stamp == stamp
+                )
+                image = image_array(message, 180, 180).astype(int)
+                np.testing.assert_allclose(image[20, 20], (20, 60, 200), atol=12)
+                np.testing.assert_allclose(image[20, 60], (200, 60, 20), atol=12)
+
+    def test_the_camera_matrix_is_of_the_image_and_a_field_of_view_that_does_not_fit_is_told(self):
+        self.show(checkerboard(), "rgb8")
+        info = self.infos.wait_for(lambda message: message.header.stamp == self.stamp)
+        self.assertAlmostEqual(field_of_view(np.reshape(info.K, (3, 3)), info.height), 30.0)
+        wide = camera_info_message(rospy.Time(), intrinsics(WIDTH, HEIGHT, 40.0), HEIGHT, WIDTH)
+        wide.D = [0.1, -0.2, 0.0, 0.0, 0.0]
+        for _ in range(200):  # the calibration has a connection of its own
+            self.calibration.publish(wide)
+            self.show(checkerboard(), "rgb8")
+            info = self.infos.wait_for(lambda message: message.header.stamp == self.stamp)
+            if info.D[0]:
+                break
+        self.assertEqual((info.height, info.width, info.header.frame_id), (180, 180, "camera_optical_frame"))
+        self.assertAlmostEqual(field_of_view(np.reshape(info.K, (3, 3)), info.height), 40.0)
+        np.testing.assert_allclose((info.K[2], info.K[5]), 89.5)
+        said = self.log.wait_for(lambda message: "calibrated field of view" in message.msg).msg
+        self.assertIn("is 40.0 degrees, camera/field_of_view is 30.0", said)
+
+    def test_pictures_that_cannot_be_used_are_dropped_counted_and_told(self):
+        for _ in range(3):
+            header = Header(stamp=self.next_stamp())
+            self.camera.publish(Image(header, HEIGHT, WIDTH, "bayer_rggb8", 0, WIDTH, bytes(HEIGHT * WIDTH)))
+            said = self.diagnostics.wait_for(
+                lambda message: any("bayer_rggb8" in status.message for status in message.status)
+            )
+        status = next(status for status in said.status if "bayer_rggb8" in status.message)
+        self.assertEqual(status.level, status.WARN)
+        values = {item.key: item.value for item in status.values}
+        self.assertGreaterEqual(int(values["pictures dropped"]), 1)
+        self.log.wait_for(lambda message: "dropped" in message.msg and "bayer_rggb8" in message.msg)
+        self.show(checkerboard(), "rgb8")
+
+
+if __name__ == "__main__":
+    rospy.init_node("check_camera_pipeline")
+    rostest.rosrun("embodied_active_learning", "check_camera_pipeline", CameraPipelineTest)
