@@ -1,14 +1,18 @@
 #!/usr/bin/env python3
 """Makes Python modules of franka_definitions.py, for machines where franka_ros is not installed.
 
-python3 test/fake_franka/generate.py FOLDER    then put FOLDER at the end of PYTHONPATH
+python3 test/fake_franka/generate.py [FOLDER]    then put FOLDER, build/franka_messages, at the end of PYTHONPATH
 
-A package that is installed is never generated again, and so never hidden.
+A package that is installed is never generated again, and so never hidden. What is there already and up to date stays as
+it is, so that several launches may ask for one folder at once.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -17,11 +21,14 @@ from typing import Dict, List
 import genpy.generate_initpy
 import genpy.generator
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from franka_definitions import SERVICES, message_definitions
+from fake_franka.franka_definitions import SERVICES, message_definitions
 
+DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "build" / "franka_messages"
+"""Where the stand-in and the tests keep the modules."""
 PACKAGES = tuple(sorted(SERVICES))
+_STAMP = ".version"
 _DEPENDENCIES = ("std_msgs", "actionlib_msgs")
 
 
@@ -31,7 +38,7 @@ def missing_packages(folder: Path) -> List[str]:
 
 
 def generate(folder: Path) -> List[str]:
-    """Write the modules of every package that is not installed into folder -> their names.
+    """See to it that folder has the modules of every package that is not installed -> their names.
 
     Raises RuntimeError when genpy refuses a definition or the definitions of a dependency are not installed.
     """
@@ -49,14 +56,33 @@ def _is_installed(package: str, folder: Path) -> bool:
 
 
 def _generate_package(package: str, folder: Path) -> None:
-    with tempfile.TemporaryDirectory() as texts:
-        messages = _write(Path(texts) / "msg", ".msg", message_definitions(package))
-        services = _write(Path(texts) / "srv", ".srv", SERVICES[package])
-        search = {package: [str(Path(texts) / "msg")], **{name: [_definitions(name)] for name in _DEPENDENCIES}}
-        target = folder / package
-        _run(genpy.generator.MsgGenerator(), package, messages, target / "msg", search)
-        _run(genpy.generator.SrvGenerator(), package, services, target / "srv", search)
-        (target / "__init__.py").write_text("", encoding="utf-8")
+    target = folder / package
+    version = hashlib.sha256(repr((message_definitions(package), SERVICES[package])).encode()).hexdigest()
+    stamp = target / _STAMP
+    if stamp.is_file() and stamp.read_text(encoding="utf-8") == version:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as work:
+        made = _modules(package, Path(work))
+        (made / _STAMP).write_text(version, encoding="utf-8")
+        try:
+            os.rename(made, target)
+        except OSError:
+            if not (stamp.is_file() and stamp.read_text(encoding="utf-8") == version):  # not made by another meanwhile
+                shutil.rmtree(target)
+                os.rename(made, target)
+
+
+def _modules(package: str, work: Path) -> Path:
+    """Generate a package within work -> its folder."""
+    messages = _write(work / "msg", ".msg", message_definitions(package))
+    services = _write(work / "srv", ".srv", SERVICES[package])
+    search = {package: [str(work / "msg")], **{name: [_definitions(name)] for name in _DEPENDENCIES}}
+    made = work / package
+    _run(genpy.generator.MsgGenerator(), package, messages, made / "msg", search)
+    _run(genpy.generator.SrvGenerator(), package, services, made / "srv", search)
+    (made / "__init__.py").write_text("", encoding="utf-8")
+    return made
 
 
 def _write(folder: Path, extension: str, definitions: Dict[str, str]) -> List[str]:
@@ -84,10 +110,10 @@ def _definitions(package: str) -> str:
 
 def main() -> int:
     """Generate into the folder that the command line names -> exit status."""
-    if len(sys.argv) != 2:
-        sys.stderr.write(f"usage: {sys.argv[0]} FOLDER\n")
+    if len(sys.argv) > 2:
+        sys.stderr.write(f"usage: {sys.argv[0]} [FOLDER]\n")
         return 2
-    made = generate(Path(sys.argv[1]).resolve())
+    made = generate(Path(sys.argv[1]).resolve() if len(sys.argv) == 2 else DEFAULT_FOLDER)
     sys.stdout.write(f"generated: {', '.join(made) or 'nothing, everything is installed'}\n")
     return 0
 

@@ -1,0 +1,23 @@
+#!/usr/bin/env python3
+"""Stands in for franka_ros on a real Panda, and for its usb_cam: the same topics, services and action, in real time.
+
+Like franka_control.launch it runs franka_control, controller_manager and franka_state_controller; like usb_cam_node a
+camera. README.md beside this file tells how to start it, its parameters, and the faults that it can be given.
+"""
+
+import embodied_active_learning.ros.interruptible  # noqa: F401  before all that takes long to import
+
+import importlib
+import sys
+from pathlib import Path
+
+from embodied_active_learning.ros.node import run_node
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from fake_franka.generate import DEFAULT_FOLDER, generate
+
+if __name__ == "__main__":
+    generate(DEFAULT_FOLDER)
+    sys.path.append(str(DEFAULT_FOLDER))
+    run_node("fake_franka", importlib.import_module("fake_franka.stand_in").main)  # imports the messages that were made

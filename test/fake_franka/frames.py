@@ -1,0 +1,89 @@
+"""The frames at the end of the arm, as (4, 4) matrices, and what hangs there."""
+
+from __future__ import annotations
+
+from typing import Any, List, Sequence, Tuple
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
+from scipy.spatial.transform import Rotation
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.simulation.scene import optical_rotation
+
+ARM = "panda"
+_IDENTITY = np.eye(4).ravel().tolist()
+
+
+class Frames:
+    """Flange, nominal end effector NE, end effector EE, stiffness frame K, and the camera, which sits on the flange."""
+
+    def __init__(self, config: Config) -> None:
+        """As the robot's configuration has them: ~F_T_NE and ~NE_T_EE, column by column, and config's camera mount."""
+        self.flange_to_nominal = from_columns(rospy.get_param("~F_T_NE", _IDENTITY))
+        self.nominal_to_ee = from_columns(rospy.get_param("~NE_T_EE", _IDENTITY))
+        self.ee_to_stiffness = np.eye(4)
+        self.load: Tuple[float, List[float], List[float]] = (0.0, [0.0] * 3, [0.0] * 9)  # kg, m, kg m^2
+        self._config = config
+        mount = np.eye(4)
+        mount[:3, :3] = Rotation.from_euler("xyz", config.franka.camera_rotation).as_matrix()
+        mount[:3, 3] = config.franka.camera_position
+        self._flange_to_camera = self.flange_to_ee @ mount
+
+    @property
+    def flange_to_ee(self) -> np.ndarray:
+        """F_T_EE."""
+        return self.flange_to_nominal @ self.nominal_to_ee
+
+    def flange(self, position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
+        """The flange where the end effector is at a position (3,) with a quaternion (4,)."""
+        return matrix_of(position, orientation) @ np.linalg.inv(self.flange_to_ee)
+
+    def camera(self, position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
+        """The camera where the end effector is there."""
+        return self.flange(position, orientation) @ self._flange_to_camera
+
+    def ee_with_camera_at(self, x: float, y: float, theta: float) -> np.ndarray:
+        """The end effector when the camera looks straight down from a planar pose, m, m, rad, at its height."""
+        camera = np.eye(4)
+        camera[:3, :3] = optical_rotation(theta)
+        camera[:3, 3] = x, y, self._camera_height
+        return camera @ np.linalg.inv(self._flange_to_camera) @ self.flange_to_ee
+
+    def outside(self, position: Sequence[float], orientation: Sequence[float]) -> Tuple[float, float]:
+        """How far the camera is beyond the workspace, in x or in y, and off its height, m."""
+        x, y, z = self.camera(position, orientation)[:3, 3].tolist()
+        (x0, x1), (y0, y1) = self._config.workspace.x, self._config.workspace.y
+        return max(x0 - x, x - x1, y0 - y, y - y1, 0.0), abs(z - self._camera_height)
+
+    @property
+    def _camera_height(self) -> float:
+        return self._config.franka.table_height + self._config.camera.distance
+
+
+def from_columns(values: Sequence[float]) -> np.ndarray:
+    """(4, 4) of 16 numbers, column by column, as franka_ros has them."""
+    return np.array(values, dtype=float).reshape(4, 4).T
+
+
+def matrix_of(position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
+    """Position (3,) and quaternion (4,) -> (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(orientation).as_matrix()
+    matrix[:3, 3] = position
+    return matrix
+
+
+def pose_of(matrix: np.ndarray) -> Tuple[Any, Any]:
+    """(4, 4) -> position (3,) and quaternion (4,)."""
+    return tuple(matrix[:3, 3].tolist()), tuple(Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
+
+
+def transform_message(stamp: rospy.Time, parent: str, child: str, matrix: np.ndarray) -> TransformStamped:
+    """A frame of the arm in another one of it, (4, 4)."""
+    position, orientation = pose_of(matrix)
+    message = TransformStamped(child_frame_id=f"{ARM}_{child}")
+    message.header.stamp, message.header.frame_id = stamp, f"{ARM}_{parent}"
+    message.transform.translation, message.transform.rotation = Vector3(*position), Quaternion(*orientation)
+    return message

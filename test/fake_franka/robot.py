@@ -1,0 +1,290 @@
+"""The robot behind franka_control: its modes, what stops it, and what it takes to go on. Real time, by any clock."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import Callable, Dict, List, Sequence, Set, Tuple
+
+from fake_franka.impedance import (
+    ORIGIN,
+    STEP,
+    ImpedanceHand,
+    Quaternion,
+    Vector,
+    inverse,
+    length_of,
+    multiply,
+    rotation_vector,
+    turned_by,
+)
+
+OTHER, IDLE, MOVE, GUIDING, REFLEX, USER_STOPPED, RECOVERY = range(7)
+MODE_NAMES = ("Other", "Idle", "Move", "Guiding", "Reflex", "User stopped", "Automatic error recovery")
+MAX_SPEED = 1.7  # m/s
+MAX_TURN_RATE = 2.5  # rad/s
+STOCK_FORCE_LIMITS = (20.0, 20.0, 20.0, 25.0, 25.0, 25.0)  # N, Nm
+_LONGEST_CATCH_UP = 10.0  # s of motion that are made up for when the process was not run for a while
+
+
+class CommandError(Exception):
+    """libfranka refuses a command, or a motion ends; the message is libfranka's."""
+
+
+@dataclass
+class Truth:
+    """What the hand really did since it was last asked."""
+
+    max_speed: float = 0.0  # m/s
+    max_turn_rate: float = 0.0  # rad/s
+    max_acceleration: float = 0.0  # m/s^2, under the controller; the robot's own stops are not in it
+    max_outside: float = 0.0  # m beyond the workspace
+    max_height_error: float = 0.0  # m
+    travelled: float = 0.0  # m
+    max_step: float = 0.0  # m between two set-points that follow each other
+    set_points: int = 0
+    reflexes: int = 0
+    recoveries: int = 0
+    refused_commands: List[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """What may differ from robot to robot, and between versions of franka_ros."""
+
+    friction: float = 0.0  # N, along each axis
+    largest_step: float = 0.1  # m between two set-points; stricter than a robot, which feels only what the hand feels
+    largest_turn: float = 0.6  # rad between two set-points
+    recovers_after_user_stop: bool = False  # as franka_ros does after 0.10.1, without being asked
+
+
+class FakeRobot:
+    """A Panda and the loop in franka_control that drives it. Safe to be used by several threads at once."""
+
+    def __init__(
+        self,
+        clock: Callable[[], float],
+        position: Vector,
+        orientation: Quaternion,
+        behaviour: Behaviour,
+        outside: Callable[[Vector, Quaternion], Tuple[float, float]] = lambda _position, _orientation: (0.0, 0.0),
+        log: Callable[[str], None] = lambda _text: None,
+    ) -> None:
+        """outside: how far a true pose is beyond the workspace and off its height, m."""
+        self.lock = threading.RLock()
+        self.hand = ImpedanceHand(position, orientation, behaviour.friction)
+        self.force_limits: Sequence[float] = STOCK_FORCE_LIMITS
+        self.errors: Set[str] = set()
+        self.last_motion_errors: Set[str] = set()
+        self.felt = (0.0,) * 6  # N, Nm: what tripped the reflex that holds the arm
+        self._clock = clock
+        self._behaviour = behaviour
+        self._outside = outside
+        self._log = log
+        self._time = clock()
+        self._begun = self._time
+        self._controlled = False  # a running controller moves the arm
+        self._impedance = False  # and it is the impedance controller
+        self._has_error = False  # franka_control's: the loop does not run until an error recovery has succeeded
+        self._user_stop = False
+        self._recovering = False
+        self._failing_recoveries = 0
+        self._offset = (ORIGIN, 0.0)  # m, rad: by how much poses are reported beside the truth
+        self._truth = Truth()
+
+    @property
+    def mode(self) -> int:
+        """robot_mode of franka_states."""
+        with self.lock:
+            if self._user_stop:
+                return USER_STOPPED
+            if self._recovering:
+                return RECOVERY
+            if self.errors:
+                return REFLEX
+            return MOVE if self.is_driven else IDLE
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether franka_control's loop is running."""
+        return self._controlled and not self._has_error
+
+    @property
+    def time(self) -> float:
+        """Seconds since the robot was switched on."""
+        return self._time - self._begun
+
+    def true_pose(self) -> Tuple[Vector, Quaternion]:
+        """Where the hand really is, whatever is reported."""
+        with self.lock:
+            offset, turn = self._offset
+            x, y, z = (value - shift for value, shift in zip(self.hand.position, offset))
+            return (x, y, z), multiply(turned_by((0.0, 0.0, -turn)), self.hand.orientation)
+
+    def advance(self) -> None:
+        """Live through the time that has passed, a millisecond at a time."""
+        with self.lock:
+            now = self._clock()
+            if now - self._time > _LONGEST_CATCH_UP:
+                self._time = now - _LONGEST_CATCH_UP
+            before = self.hand.position
+            for _ in range(int((now - self._time) / STEP)):
+                self._step()
+            self._note(before)
+
+    def take_set_point(self, position: Vector, orientation: Quaternion) -> None:
+        """What the impedance controller hears on equilibrium_pose."""
+        with self.lock:
+            self.advance()
+            last_position, last_orientation = self.hand.set_point
+            step = length_of([new - old for new, old in zip(position, last_position)])
+            turn = length_of(rotation_vector(multiply(orientation, inverse(last_orientation))))
+            self.hand.set_point = (position, orientation)
+            if not self._impedance or not self.is_driven:
+                return  # started again, the controller latches the pose where it is
+            self._truth.set_points += 1
+            self._truth.max_step = max(self._truth.max_step, step)
+            if step > self._behaviour.largest_step or turn > self._behaviour.largest_turn:
+                self._trip("cartesian_reflex")
+
+    def change_controllers(self, moves_the_arm: bool, impedance: bool) -> None:
+        """Other controllers are running now."""
+        with self.lock:
+            self.advance()
+            self._controlled, self._impedance = moves_the_arm, impedance
+            if not self._has_error:
+                self._start_motion()
+
+    def reflex(self, error: str) -> None:
+        """The robot stops the arm, by itself, for an error of franka_msgs/Errors."""
+        with self.lock:
+            self.advance()
+            self._trip(error)
+
+    def lose_contact(self) -> None:
+        """The computer that runs franka_control does not answer any more."""
+        with self.lock:
+            self.advance()
+            if self.is_driven:
+                self._trip("communication_constraints_violation")
+
+    def set_user_stop(self, pressed: bool) -> None:
+        """The button in the user's hand."""
+        with self.lock:
+            self.advance()
+            was_driven = self.is_driven
+            self._user_stop = pressed
+            self.errors = set()  # neither while it is pressed nor afterwards does the robot tell of any
+            if pressed and was_driven:
+                self._end_motion("libfranka: Move command aborted: User Stop pressed!", set())
+            if not pressed and self._has_error and self._behaviour.recovers_after_user_stop:
+                self._has_error = False
+                self._start_motion()
+
+    def jump(self, offset: Sequence[float], turn: float) -> None:
+        """Report, from now on, a pose that is offset, m, and turned, rad, beside the one so far."""
+        with self.lock:
+            self.advance()
+            before, before_turn = self._offset
+            x, y, z = (old + new for old, new in zip(before, offset))
+            self._offset = ((x, y, z), before_turn + turn)
+            self.hand.displace(offset, turn)
+
+    def command(self, name: str, apply: Callable[[], None]) -> None:
+        """Do what a setter of libfranka does, which is possible while nothing drives the arm. Raises CommandError."""
+        with self.lock:
+            self.advance()
+            if self.mode != IDLE:
+                error = self._rejected(name)
+                self._truth.refused_commands.append(str(error))
+                raise error
+            apply()
+
+    def fail_next_recovery(self) -> int:
+        """Let one more recovery fail -> how many will."""
+        with self.lock:
+            self._failing_recoveries += 1
+            return self._failing_recoveries
+
+    def begin_recovery(self) -> None:
+        """An error recovery is asked for. Raises CommandError when it is not possible now."""
+        with self.lock:
+            self.advance()
+            if self.mode not in (IDLE, REFLEX):
+                raise self._rejected("Automatic Error Recovery")
+            self._recovering = bool(self.errors)
+
+    def end_recovery(self) -> None:
+        """It is over; the running controllers are started again. Raises CommandError when it has failed."""
+        with self.lock:
+            self.advance()
+            self._recovering = False
+            if self._user_stop:
+                raise CommandError("libfranka: Automatic Error Recovery command aborted: User Stop pressed!")
+            if self._failing_recoveries > 0:
+                self._failing_recoveries -= 1
+                raise CommandError(
+                    "libfranka: Automatic Error Recovery command rejected: manual error recovery required!"
+                )
+            self._truth.recoveries += 1
+            self.errors = set()
+            self.felt = (0.0,) * 6
+            self._has_error = False
+            self._start_motion()
+
+    def take_truth(self) -> Dict[str, object]:
+        """What the hand did since this was last asked, by the names of Truth; then it begins anew."""
+        with self.lock:
+            self.advance()
+            truth, self._truth = self._truth, Truth()
+            return vars(truth)
+
+    def _start_motion(self) -> None:
+        """franka_control enters its loop: every running controller is started, and latches the pose."""
+        if not self._controlled:
+            return
+        if self.mode != MOVE:
+            self._has_error = True
+            self._log(str(self._rejected("Move")))
+            return
+        self.hand.latch()
+
+    def _trip(self, error: str) -> None:
+        self.felt = (*self.hand.force, *self.hand.torque)
+        self._truth.reflexes += 1
+        self.errors = {error}
+        self._end_motion(f'libfranka: Move command aborted: motion aborted by reflex! ["{error}"]', {error})
+
+    def _end_motion(self, message: str, errors: Set[str]) -> None:
+        if self.is_driven:
+            self.last_motion_errors = errors
+            self._has_error = True
+            self._log(message)
+
+    def _rejected(self, command: str) -> CommandError:
+        mode = MODE_NAMES[self.mode]
+        return CommandError(
+            f'libfranka: {command} command rejected: command not possible in the current mode ("{mode}")!'
+        )
+
+    def _step(self) -> None:
+        self._time += STEP
+        hand, truth = self.hand, self._truth
+        if not (self._impedance and self.is_driven):
+            hand.brake()
+            return
+        hand.advance()
+        truth.max_acceleration = max(truth.max_acceleration, hand.acceleration)
+        if any(abs(felt) > limit for felt, limit in zip((*hand.force, *hand.torque), self.force_limits)):
+            self._trip("cartesian_reflex")
+        elif hand.speed > MAX_SPEED or hand.turn_rate > MAX_TURN_RATE:
+            self._trip("cartesian_velocity_violation")
+
+    def _note(self, before: Sequence[float]) -> None:
+        hand, truth = self.hand, self._truth
+        truth.max_speed = max(truth.max_speed, hand.speed)
+        truth.max_turn_rate = max(truth.max_turn_rate, hand.turn_rate)
+        truth.travelled += length_of([now - then for now, then in zip(hand.position, before)])
+        beyond, off_height = self._outside(*self.true_pose())
+        truth.max_outside = max(truth.max_outside, beyond)
+        truth.max_height_error = max(truth.max_height_error, off_height)

@@ -1,0 +1,124 @@
+"""The whole stand-in: robot, franka_control, controllers and camera, and the faults that a test may give them."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import fields
+from typing import Any, Callable
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import PoseStamped, Quaternion
+from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
+
+from embodied_active_learning.config import Config
+from fake_franka.computer import Computer, Every
+from fake_franka.frames import ARM, Frames, pose_of
+from fake_franka.franka_control import FrankaControl
+from fake_franka.manager_services import ManagerServices
+from fake_franka.robot import Behaviour, FakeRobot
+from fake_franka.state_controller import StateController
+from fake_franka.usb_cam import FakeUsbCam
+
+MOTION_RATE = 200.0
+"""Looks per second at how far time has gone; the motion itself is calculated by the millisecond."""
+SLOW_RATE = 3.0
+"""Hz of the states while they are slow."""
+
+
+class StandIn:
+    """What a launch file of a lab would start on the robot's computer, as one node."""
+
+    def __init__(self, config: Config) -> None:
+        self._computer = Computer()
+        self._frames = Frames(config)
+        start = self._frames.ee_with_camera_at(*rospy.get_param("~start", config.workspace.box().centre.tolist()))
+        given = {one.name: rospy.get_param(f"~{one.name}", one.default) for one in fields(Behaviour)}
+        position, orientation = pose_of(start)
+        self._robot = FakeRobot(
+            time.monotonic, position, orientation, Behaviour(**given), self._frames.outside, rospy.logerr
+        )
+        self._states = StateController(self._robot, self._frames)
+        self._true_poses = rospy.Publisher("~true_pose", PoseStamped, queue_size=1)
+        self._are_silent = self._are_slow = False
+        self._jump = [float(value) for value in rospy.get_param("~jump", [0.05, 0.03, 0.0, 0.2])]
+        self._camera = (
+            FakeUsbCam(self._camera_pose, config, self._computer) if rospy.get_param("~camera", True) else None
+        )
+        self._manager = ManagerServices(self._robot, self._computer)
+        FrankaControl(self._robot, self._frames, self._computer)
+        self._offer_faults()
+        Every(lambda: MOTION_RATE, self._robot.advance)
+        Every(lambda: SLOW_RATE if self._are_slow else self._manager.state_rate, self._publish_states)
+
+    def _camera_pose(self) -> np.ndarray:
+        self._robot.advance()
+        return self._frames.camera(*self._robot.true_pose())
+
+    def _publish_states(self) -> None:
+        self._publish_truth()
+        if not self._are_silent and self._computer.is_alive and self._manager.publishes_states:
+            self._states.publish()
+
+    def _publish_truth(self) -> None:
+        """Topic ~true_pose: the end effector, whatever is reported of it, and in silence too."""
+        self._robot.advance()
+        position, orientation = self._robot.true_pose()
+        message = PoseStamped()
+        message.header.stamp, message.header.frame_id = rospy.Time.now(), f"{ARM}_link0"
+        point = message.pose.position
+        point.x, point.y, point.z = position
+        message.pose.orientation = Quaternion(*orientation)
+        self._true_poses.publish(message)
+
+    def _offer_faults(self) -> None:
+        robot = self._robot
+        _trigger("reflex", lambda: robot.reflex("cartesian_reflex"))
+        _trigger("fail_next_recovery", robot.fail_next_recovery)
+        _trigger("pose_jump", lambda: robot.jump(self._jump[:3], self._jump[3]))
+        _trigger("truth", self._tell_truth)
+        _switch("user_stop", robot.set_user_stop)
+        _switch("silence_states", lambda on: setattr(self, "_are_silent", on))
+        _switch("slow_states", lambda on: setattr(self, "_are_slow", on))
+        _switch("silence_everything", self._silence)
+        if self._camera is not None:
+            _switch("freeze_camera", lambda on: setattr(self._camera, "is_frozen", on))
+            _switch("silence_camera", lambda on: setattr(self._camera, "is_silent", on))
+
+    def _silence(self, on: bool) -> None:
+        """The computer dies, and the robot, which hears nothing of it any more, stops the arm; or it is back."""
+        if on:
+            self._computer.die()
+            self._robot.lose_contact()
+        else:
+            self._computer.revive()
+
+    def _tell_truth(self) -> str:
+        """What the arm did since this was asked last, and where its camera really is, as JSON."""
+        camera = self._camera_pose()
+        told = self._robot.take_truth()
+        told["pose"] = [camera[0, 3], camera[1, 3], math.atan2(camera[1, 0], camera[0, 0])]
+        told["speed"] = self._robot.hand.speed
+        told["mode"] = self._robot.mode
+        return json.dumps(told)
+
+
+def _trigger(name: str, action: Callable[[], Any]) -> None:
+    rospy.Service(f"~{name}", Trigger, lambda _request: TriggerResponse(True, str(action() or "")))
+
+
+def _switch(name: str, action: Callable[[bool], None]) -> None:
+    def answer(request: Any) -> SetBoolResponse:
+        action(request.data)
+        return SetBoolResponse(True, "")
+
+    rospy.Service(f"~{name}", SetBool, answer)
+
+
+def main(config: Config) -> None:
+    """Be a Panda and its camera until the node ends."""
+    StandIn(config)
+    rospy.loginfo("the stand-in for franka_ros is ready: no robot is connected")
+    rospy.spin()
