@@ -8,13 +8,15 @@ camera. README.md beside this file tells how to start it, its parameters, and th
 import embodied_active_learning.ros.interruptible  # noqa: F401  before all that takes long to import
 
 import importlib
+import os
 import sys
 from pathlib import Path
 
-from embodied_active_learning.ros.node import run_node
-
+# Before numpy is imported: its second thread would spin between the small matrices of this node, all of the time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from embodied_active_learning.ros.node import run_node
 from fake_franka.generate import DEFAULT_FOLDER, generate
 
 if __name__ == "__main__":
