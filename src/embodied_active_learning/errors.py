@@ -41,6 +41,18 @@ class ArmBusyError(CommandError):
     """Another node drives the arm, or it is carrying out a command."""
 
 
+class ArmNotReadyError(ArmBusyError):
+    """The robot cannot take a command now: its states have stopped, say, or a reflex is being recovered from."""
+
+
+class RobotError(EmbodiedActiveLearningError):
+    """The robot's own software refused something, or did not answer."""
+
+
+class MissingPackageError(EmbodiedActiveLearningError):
+    """Something that only some runs need is not installed."""
+
+
 class BusyError(EmbodiedActiveLearningError):
     """What was asked for can be done only once at a time, and is under way."""
 

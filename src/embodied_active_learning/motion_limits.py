@@ -85,6 +85,12 @@ class MotionLimits:
         """(3,) m, m, rad."""
         return tuple(axis.upper for axis in self._axes)
 
+    def within(self, lower: Sequence[float], upper: Sequence[float]) -> MotionLimits:
+        """The same limits of speed and acceleration in another box, (3,) m, m, rad each."""
+        limits = MotionLimits.__new__(MotionLimits)
+        limits._axes = [axis._replace(lower=low, upper=high) for axis, low, high in zip(self._axes, lower, upper)]
+        return limits
+
     def slowed(self, velocity: Sequence[float]) -> List[float]:
         """A velocity (3,) of finite numbers in its own direction, at the highest legal speed at most."""
         largest = max(map(abs, velocity))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from numbers import Real
 from operator import add
 from typing import Callable, Dict, List, Optional, Sequence
 
 import numpy as np
 
+from embodied_active_learning.arm_requests import checked_duration, checked_pose, checked_velocity
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, CommandError, ConfigError
 from embodied_active_learning.motion_limits import MotionLimits
@@ -138,8 +138,8 @@ class SimulatedArm:
         The error, drawn once the command is accepted, is what an imperfect arm adds to the legal velocity (3,). Raises
         CommandError, with the arm where and as it was, for what no arm should be told.
         """
-        wanted = _three_numbers(velocity, "velocity")
-        steps = max(1, round(self._checked_duration(duration) / self._body.period))
+        wanted = checked_velocity(velocity)
+        steps = max(1, round(checked_duration(duration, self._max_duration) / self._body.period))
         legal = self._limits.slowed(wanted)
         held = legal if error is None else self._limits.slowed([*map(add, legal, error().tolist())])
         limited = legal != wanted
@@ -152,12 +152,7 @@ class SimulatedArm:
 
         Raises CommandError for a pose outside the workspace, ArmFailedError when the arm does not get there in time.
         """
-        target = np.array(_three_numbers(pose, "pose"))
-        if not self._workspace.contains(target, tolerance=1e-9):
-            raise CommandError(
-                f"pose {target.tolist()} is refused: it lies outside the workspace, "
-                f"{list(self._workspace.lower)} to {list(self._workspace.upper)} for {', '.join(STATE_NAMES)}"
-            )
+        target = checked_pose(pose, self._workspace)
         target = np.clip(target, self._limits.lower, self._limits.upper)
         allowed = 2.0 + 2.0 * (
             self._limits.braking_time(self._commanded) + self._limits.travel_time(self._pose, target)
@@ -198,14 +193,6 @@ class SimulatedArm:
         self._sense()
         return share < 1.0 or legal.cut
 
-    def _checked_duration(self, duration: float) -> float:
-        if not (isinstance(duration, Real) and 0.0 < duration <= self._max_duration):
-            raise CommandError(
-                f"duration {duration!r} s is refused: give more than 0 and at most {self._max_duration:g} s "
-                "(arm/max_duration)"
-            )
-        return float(duration)
-
     def _sense(self) -> None:
         self._position, self._orientation, self._twist = self._body.optical_frame()
         self._pose = servo.planar_pose(self._position, self._orientation)
@@ -222,14 +209,3 @@ class SimulatedArm:
         axes = (np.linspace(*limits) for limits in zip(self._limits.lower, self._limits.upper, _REACH_GRID))
         for pose in itertools.product(*axes):
             self._place(np.array(pose))
-
-
-def _three_numbers(values: Sequence[float], name: str) -> List[float]:
-    """Three floats, or CommandError."""
-    try:
-        numbers = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        numbers = np.empty(0)
-    if numbers.shape != (len(STATE_NAMES),) or not np.isfinite(numbers).all():
-        raise CommandError(f"{name} {values!r} is refused: give {len(STATE_NAMES)} finite numbers")
-    return numbers.tolist()

@@ -1,0 +1,1 @@
+"""A real Panda behind franka_ros: all that decides how it moves, without ROS."""

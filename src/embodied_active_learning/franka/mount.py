@@ -1,0 +1,122 @@
+"""Where the camera is when the end effector is somewhere, and the other way round: a camera in a fixed mount."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Sequence, Tuple
+
+import numpy as np
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ObservationError
+
+_ROTATION_TOLERANCE = 1e-2
+"""How far from orthonormal a rotation may be: franka_states is rounded, but not more than that."""
+_DOWN = np.diag([1.0, -1.0, -1.0])  # Rx(pi): the optical frame at yaw 0
+
+
+class CameraPose(NamedTuple):
+    """A pose of the camera, as its planar part and how far it is from a planar one.
+
+    The optical frame is exp(tilt) Rz(theta) Rx(pi), with a tilt about the base frame's x and y.
+    """
+
+    planar: Tuple[float, ...]  # x [m], y [m], theta [rad]
+    height: float  # [m] above the plane that the camera is to move in
+    tilt: Tuple[float, ...]  # [rad] about x and about y
+
+    @property
+    def tilt_angle(self) -> float:
+        """Angle between the optical axis and straight down, rad."""
+        return math.hypot(*self.tilt)
+
+
+class CameraMount:
+    """A camera fixed to the end effector (EE), and the plane over the table in which it is to move."""
+
+    def __init__(self, position: Sequence[float], rotation: Sequence[float], height: float) -> None:
+        """Position (3,) m of the optical frame in EE; its rotation: roll, pitch, yaw, rad; the plane's height, m."""
+        self._position = np.array(position, dtype=np.float64)
+        roll, pitch, yaw = rotation
+        self._rotation = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
+        self._height = height
+
+    @classmethod
+    def from_config(cls, config: Config) -> CameraMount:
+        """The mount of franka/, and a plane camera/distance above the table."""
+        franka = config.franka
+        return cls(franka.camera_position, franka.camera_rotation, franka.table_height + config.camera.distance)
+
+    def camera_pose(self, end_effector: Sequence[float]) -> CameraPose:
+        """O_T_EE, (16,) column by column, m -> the camera's pose, theta in [-pi, pi].
+
+        Raises ObservationError for what is no pose, and for a camera that does not look down at all.
+        """
+        transform = np.asarray(end_effector, dtype=np.float64).reshape(4, 4).T
+        rotation = transform[:3, :3]
+        if not np.isfinite(transform).all():
+            raise ObservationError("the robot's pose holds values that are not finite")
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_TOLERANCE):
+            raise ObservationError("the robot's pose is none: its rotation is not orthonormal")
+        optical = rotation @ self._rotation
+        x, y, z = transform[:3, 3] + rotation @ self._position
+        axis = optical[:, 2]
+        if axis[2] >= 0.0:
+            raise ObservationError(
+                "the camera looks up instead of down: see to franka/camera_rotation, or turn the hand by hand"
+            )
+        tilt = _tilt_of(axis)
+        upright = _rotation_by(tilt).T @ optical
+        theta = math.atan2(upright[1, 0], upright[0, 0])
+        return CameraPose((float(x), float(y), theta), float(z) - self._height, tilt)
+
+    def end_effector(self, pose: CameraPose) -> Tuple[np.ndarray, np.ndarray]:
+        """The camera's pose -> position (3,) m and rotation (3, 3) of EE in the base frame."""
+        x, y, theta = pose.planar
+        rotation = _rotation_by(pose.tilt) @ _about(2, theta) @ _DOWN @ self._rotation.T
+        return np.array([x, y, self._height + pose.height]) - rotation @ self._position, rotation
+
+
+def quaternion(rotation: np.ndarray) -> Tuple[float, float, float, float]:
+    """Rotation (3, 3) -> unit quaternion x, y, z, w."""
+    # The largest of the four is computed first, so that no division is by a small number.
+    trace = rotation.trace()
+    squares = np.array([*(2.0 * rotation.diagonal() - trace), trace])
+    largest = int(squares.argmax())
+    differences = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    if largest == 3:
+        values = np.array([*differences, 1.0 + trace])
+    else:
+        values = np.array([*(rotation[largest] + rotation[:, largest]), differences[largest]])
+        values[largest] = 1.0 + squares[largest]
+    x, y, z, w = (values / np.linalg.norm(values)).tolist()
+    return x, y, z, w
+
+
+def _tilt_of(axis: np.ndarray) -> Tuple[float, float]:
+    """The rotation about x and y, rad, that turns straight down into a unit axis (3,) pointing down."""
+    sine = math.hypot(axis[0], axis[1])
+    factor = math.atan2(sine, -axis[2]) / sine if sine > 0.0 else 1.0
+    return factor * float(axis[1]), -factor * float(axis[0])
+
+
+def _rotation_by(tilt: Sequence[float]) -> np.ndarray:
+    """(3, 3) rotation by a vector of length tilt [rad] in the plane of x and y."""
+    angle = math.hypot(*tilt)
+    if angle == 0.0:
+        return np.eye(3)
+    x, y = tilt[0] / angle, tilt[1] / angle
+    cross = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+
+
+def _about(axis: int, angle: float) -> np.ndarray:
+    """(3, 3) rotation about a coordinate axis, 0 to 2, by an angle, rad."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    rotation = np.eye(3)
+    rotation[one, one] = rotation[other, other] = cosine
+    rotation[one, other], rotation[other, one] = -sine, sine
+    return rotation

@@ -1,0 +1,177 @@
+"""Set-points keep every limit and stay near the arm, whatever is wanted, measured, late or missing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CommandError
+from embodied_active_learning.franka.mount import CameraPose
+from embodied_active_learning.franka.set_points import LONGEST_PERIOD, SetPointStream
+
+CONFIG = Config.from_dict({"arm": {"robot": "franka"}})
+BOX = CONFIG.workspace.box()
+LOWER, UPPER = np.array(BOX.lower), np.array(BOX.upper)
+TOP = np.array([CONFIG.arm.max_speed, CONFIG.arm.max_speed, CONFIG.arm.max_turn_rate])
+ACCELERATION = np.array([CONFIG.arm.max_acceleration, CONFIG.arm.max_acceleration, CONFIG.arm.max_turn_acceleration])
+LEADS = np.array([CONFIG.franka.max_lead, CONFIG.franka.max_lead, CONFIG.franka.max_turn_lead])
+PERIOD = 0.01
+LEVEL = (0.0, 0.0)
+ROUNDING = 1e-9
+
+velocities = st.one_of(
+    st.tuples(*(st.floats(-1.5 * top, 1.5 * top) for top in TOP)),
+    st.tuples(*(st.floats(allow_nan=False, allow_infinity=False),) * 3),
+)
+places = st.tuples(*(st.floats(low, high) for low, high in zip(LOWER, UPPER)))
+periods = st.one_of(st.floats(0.005, LONGEST_PERIOD), st.sampled_from([PERIOD, 0.1, 3.0]))
+
+
+def at(planar, height=0.0, tilt=LEVEL):
+    return CameraPose(tuple(map(float, planar)), height, tilt)
+
+
+def begun(planar, **pose):
+    stream = SetPointStream(CONFIG)
+    stream.begin(at(planar, **pose))
+    return stream
+
+
+def planar(stream):
+    return np.array(stream.set_point.planar)
+
+
+class Follower:
+    """An arm that goes where set-points draw it, as a spring does: late, and not at all while it is held."""
+
+    def __init__(self, place):
+        self.place = np.array(place, dtype=float)
+
+    def follow(self, stream, period, held):
+        if not held:
+            self.place += (1.0 - math.exp(-period / 0.34)) * (planar(stream) - self.place)
+        return at(self.place)
+
+
+legs = st.lists(
+    st.tuples(velocities, st.sampled_from(["advance", "brake", "retreat"]), st.booleans(), st.integers(1, 40)),
+    max_size=6,
+)
+
+
+@given(place=places, legs=legs, data=st.data())
+@settings(max_examples=100, deadline=None)
+def test_no_limit_is_ever_broken_whatever_is_wanted_and_however_late_the_ticks_are(place, legs, data):
+    stream, arm = begun(place), Follower(place)
+    measured = at(place)
+    inside = False
+    for wanted, kind, held, ticks in legs:
+        jitter = data.draw(st.lists(periods, min_size=1, max_size=5))
+        for tick in range(ticks):
+            period = jitter[tick % len(jitter)]
+            before, speed = planar(stream), np.array(stream.velocity)
+            if kind == "advance":
+                stream.advance(wanted, measured, period)
+            else:
+                getattr(stream, kind)(measured, period)
+            counted = min(period, LONGEST_PERIOD)
+            assert np.isfinite(planar(stream)).all()
+            assert np.all(np.abs(stream.velocity) <= TOP * (1.0 + ROUNDING))
+            assert np.all(np.abs(stream.velocity - speed) <= counted * ACCELERATION * (1.0 + ROUNDING) + ROUNDING)
+            step = np.abs(planar(stream) - before)
+            assert np.all(step <= counted * np.maximum(TOP, np.abs(stream.velocity)) + ROUNDING)
+            assert np.all(np.abs(planar(stream) - measured.planar) <= LEADS + ROUNDING)
+            inside |= bool(BOX.contains(planar(stream)))
+            assert not inside or BOX.contains(planar(stream), tolerance=ROUNDING)
+            assert stream.set_point.height == 0.0
+            assert stream.set_point.tilt == LEVEL
+            measured = arm.follow(stream, counted, held)
+
+
+@given(
+    place=places,
+    shoves=st.lists(st.tuples(*(st.floats(-0.3, 0.3),) * 3, st.floats(-0.2, 0.2)), min_size=1, max_size=20),
+    wanted=velocities,
+)
+@settings(max_examples=100, deadline=None)
+def test_wherever_the_arm_is_pushed_the_set_point_is_never_far_from_it_and_yields_only_towards_it(
+    place, shoves, wanted
+):
+    stream = begun(place)
+    for dx, dy, turn, climb in shoves:
+        measured = at(np.add(place, (dx, dy, turn)), climb)
+        before = planar(stream)
+        pulled = stream.advance(wanted, measured, PERIOD).pulled
+        after = planar(stream)
+        assert np.all(np.abs(after - measured.planar) <= LEADS + ROUNDING)
+        assert abs(stream.set_point.height - climb) <= CONFIG.franka.max_lead + ROUNDING
+        leapt = np.abs(after - before) > PERIOD * TOP + ROUNDING
+        assert pulled or not leapt.any()
+        nearer = np.abs(after - measured.planar) <= np.abs(before - measured.planar) + ROUNDING
+        assert np.all(nearer[leapt])
+
+
+def test_an_arm_that_is_held_makes_the_set_point_wait_within_its_lead():
+    stream, place = begun(BOX.centre), BOX.centre
+    for _ in range(300):
+        step = stream.advance((0.1, 0.0, 0.5), at(place), PERIOD)
+    assert step.cut
+    np.testing.assert_allclose(planar(stream) - place, [LEADS[0], 0.0, LEADS[2]], atol=1e-6)
+    np.testing.assert_allclose(stream.velocity, 0.0, atol=1e-6)
+
+
+def test_a_tick_that_comes_late_counts_as_a_short_one():
+    late, soon = begun(BOX.centre), begun(BOX.centre)
+    late.advance((0.1, 0.0, 0.0), at(BOX.centre), 5.0)
+    soon.advance((0.1, 0.0, 0.0), at(BOX.centre), LONGEST_PERIOD)
+    np.testing.assert_array_equal(planar(late), planar(soon))
+
+
+def test_height_and_tilt_are_put_right_slowly():
+    stream = begun(BOX.centre, height=0.02, tilt=(0.1, -0.05))
+    heights = []
+    for _ in range(300):
+        pose = stream.set_point
+        heights.append(pose.height)
+        stream.advance((0.0, 0.0, 0.0), pose, PERIOD)
+    assert stream.set_point.height == pytest.approx(0.0, abs=1e-9)
+    assert stream.set_point.tilt == pytest.approx(LEVEL, abs=1e-9)
+    assert np.max(np.abs(np.diff(heights))) <= 0.02 * PERIOD + ROUNDING
+
+
+def test_a_braking_arm_outside_the_workspace_is_not_led_back_but_a_commanded_one_is():
+    outside = np.array([UPPER[0] + 0.03, 0.0, 0.0])
+    stream = begun(outside)
+    for _ in range(100):
+        stream.brake(at(outside), PERIOD)
+    np.testing.assert_array_equal(planar(stream), outside)
+    for _ in range(300):
+        stream.advance((0.1, 0.0, 0.0), at(planar(stream)), PERIOD)
+    assert BOX.contains(planar(stream))
+
+
+def test_after_a_retreat_the_set_point_is_where_the_arm_is():
+    stream, place = begun(BOX.centre), BOX.centre
+    for _ in range(40):
+        stream.advance((0.1, 0.0, 0.0), at(place), PERIOD)
+    assert planar(stream)[0] - place[0] > 0.02
+    for _ in range(100):
+        stream.retreat(at(place), PERIOD)
+    np.testing.assert_allclose(planar(stream), place, atol=1e-6)
+    assert stream.lead(at(place)) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_the_set_point_takes_the_short_way_round_to_a_yaw_that_was_measured_beyond_pi():
+    stream = begun((0.5, 0.0, 3.1))
+    stream.brake(at((0.5, 0.0, 3.15 - 2.0 * math.pi)), PERIOD)
+    assert planar(stream)[2] == pytest.approx(3.1)
+
+
+def test_nothing_is_integrated_before_a_pose_was_measured():
+    with pytest.raises(CommandError, match="no set-point to move on from"):
+        SetPointStream(CONFIG).advance((0.0, 0.0, 0.0), at(BOX.centre), PERIOD)
