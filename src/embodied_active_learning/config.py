@@ -354,6 +354,16 @@ class FrankaConfig:
     max_tilt: float = setting(
         0.15, "farthest that the camera may look away from straight down when motion begins", "rad", 0.005, 0.5
     )
+    max_outside: float = setting(
+        0.1, "farthest outside of the workspace, along x or y, from where the camera is led back into it", "m", 0.0, 1.0
+    )
+    max_turn_outside: float = setting(0.5, "farthest outside of the workspace in yaw", "rad", 0.0, math.pi)
+    tolerance: float = setting(
+        0.015, "farthest that the camera may come to rest from where it was to go; friction is why", "m", 0.001, 0.1
+    )
+    turn_tolerance: float = setting(
+        0.1, "farthest in yaw that it may come to rest from where it was to go", "rad", 0.005, 0.5
+    )
     stiffness: float = setting(200.0, "translational stiffness of the impedance controller", "N/m", 50.0, 400.0)
     turn_stiffness: float = setting(10.0, "rotational stiffness of the impedance controller", "Nm/rad", 2.0, 30.0)
     state_max_age: float = setting(

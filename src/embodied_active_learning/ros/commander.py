@@ -13,6 +13,28 @@ from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
 from embodied_active_learning.ros import names
 
 
+class Interruption:
+    """Tells the command under way that somebody has stopped the arm; for arms whose commands take time."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self._by = ""
+
+    @property
+    def by(self) -> str:
+        """Name of the node that has stopped the arm."""
+        return self._by
+
+    def happened(self) -> bool:
+        """Whether the command is to end at once."""
+        return self._event.is_set()
+
+    def happen(self, by: str) -> None:
+        """Have the command end, for the node of that name."""
+        self._by = by
+        self._event.set()
+
+
 class Commander:
     """Keeps the arm to the node that drives it, until that node has been silent for a while (wall seconds).
 
@@ -32,19 +54,21 @@ class Commander:
         self._busy = False
         self._stopped_by = stopped_by
         self._turn = threading.Lock()  # held by whoever has the arm move
+        self._interruption = Interruption()  # of the command under way
 
     @contextmanager
-    def command(self, request: Any) -> Iterator[None]:
-        """The time of one command, with the arm to itself.
+    def command(self, request: Any) -> Iterator[Interruption]:
+        """The time of one command, with the arm to itself -> what tells of a stop that comes meanwhile.
 
-        Raises ArmBusyError naming the node that has the arm, or ArmStoppedError.
+        A stop waits for the command to end; one that takes long should look, and end early. Raises ArmBusyError naming
+        the node that has the arm, or ArmStoppedError.
         """
-        self._take(name_of_caller(request))
+        interruption = self._take(name_of_caller(request))
         try:
             with self._turn:
                 with self._lock:
                     self._refuse_when_stopped()  # again: nothing moves after a stop that came first was answered
-                yield
+                yield interruption
         finally:
             with self._lock:
                 self._busy = False
@@ -94,7 +118,9 @@ class Commander:
             yield driver
 
     def end(self) -> None:
-        """Let nobody move the arm any more, once the command under way is done."""
+        """Let nobody move the arm any more, once the command under way is done, or has ended early."""
+        with self._lock:
+            self._interruption.happen("its own node, which ends")
         self._turn.acquire()
 
     @contextmanager
@@ -105,6 +131,7 @@ class Commander:
             lasts = caller != self._holder
             if lasts:
                 self._stopped_by = caller
+            self._interruption.happen(caller)
         with self._turn:
             yield lasts
         with self._lock:
@@ -115,7 +142,7 @@ class Commander:
         with self._lock:
             self._stopped_by = ""
 
-    def _take(self, caller: str) -> None:
+    def _take(self, caller: str) -> Interruption:
         with self._lock:
             self._refuse_when_stopped()
             if self._busy:
@@ -126,6 +153,8 @@ class Commander:
                     "last sign of life"
                 )
             self._holder, self._busy, self._kept = caller, True, True
+            self._interruption = Interruption()
+            return self._interruption
 
     def _refuse_when_stopped(self) -> None:
         if self._stopped_by:

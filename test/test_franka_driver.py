@@ -1,0 +1,338 @@
+"""Commands to an arm that follows set-points late, as an impedance controller's does; by a clock of the tests' own."""
+
+import math
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import (
+    ArmBusyError,
+    ArmFailedError,
+    ArmNotReadyError,
+    ArmStoppedError,
+    CommandError,
+)
+from embodied_active_learning.franka.driver import AT_REST, FrankaDriver
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
+from embodied_active_learning.franka.readiness import CONTROLLER, Controller, RobotMode
+from threads import in_a_thread, wait_for
+
+CONFIG = Config.from_dict(
+    {
+        "arm": {"robot": "franka", "max_speed": 0.1, "max_turn_rate": 0.7},
+        "franka": {"max_turn_lead": 0.5, "recoveries": 2},
+    }
+)
+PERIOD = 0.01
+LAG = 0.3
+CENTRE = CONFIG.workspace.box().centre
+RUNNING = {CONTROLLER: Controller("running", True)}
+
+
+class NeverStopped:
+    by = ""
+
+    def happened(self):
+        return False
+
+
+class StoppedBy:
+    def __init__(self, by):
+        self.by = by
+        self.now = False
+
+    def happened(self):
+        return self.now
+
+
+class Outcome:
+    """A command in a thread of its own, and what has come of it."""
+
+    def __init__(self, command, *arguments):
+        self.result = self.error = None
+        self._thread = in_a_thread(self._run, command, *arguments)
+
+    def _run(self, command, *arguments):
+        try:
+            self.result = command(*arguments)
+        except CommandError as error:
+            self.error = error
+
+    @property
+    def is_there(self):
+        return not self._thread.is_alive()
+
+    def raise_error(self):
+        if self.error is not None:
+            raise self.error
+
+
+class Lab:
+    """A driver, the robot that it moves, and the time that passes when a test says so."""
+
+    def __init__(self, config=CONFIG, pose=CENTRE, height=0.0, tilt=(0.0, 0.0)):
+        self.now = 50.0
+        self.mount = CameraMount.from_config(config)
+        self.pose = CameraPose(tuple(map(float, pose)), height, tilt)
+        self.driver = FrankaDriver(config, lambda: self.now)
+        self.driver.readiness.prepared()
+        self.mode, self.errors = RobotMode.MOVE, ()
+        self.sends_states = self.follows = True
+        self.sent = []
+        self.driver.see_control(controllers=RUNNING)
+        self.passes(0.05)
+
+    def end_effector(self):
+        transform = np.eye(4)
+        transform[:3, 3], transform[:3, :3] = self.mount.end_effector(self.pose)
+        return transform.T.ravel()
+
+    def sees(self, end_effector=None):
+        values = self.end_effector() if end_effector is None else end_effector
+        return self.driver.see_state(self.now, 0.0, values, self.mode, self.errors, ())
+
+    def passes(self, seconds, until=lambda: False):
+        ends_at = self.now + seconds - 1e-9
+        while self.now < ends_at and not until():
+            self.now += PERIOD
+            set_point = self.driver.tick()
+            self.sent.append(set_point)
+            if set_point is not None and self.follows:
+                share = 1.0 - math.exp(-PERIOD / LAG)
+                planar = [at + share * (to - at) for at, to in zip(self.pose.planar, set_point.planar)]
+                height = self.pose.height + share * (set_point.height - self.pose.height)
+                tilt = tuple(at + share * (to - at) for at, to in zip(self.pose.tilt, set_point.tilt))
+                self.pose = CameraPose(tuple(planar), height, tilt)
+            if self.sends_states:
+                self.sees()
+
+    def carries_out(self, command, *arguments, longest=30.0):
+        outcome = Outcome(command, *arguments)
+        ends_at = self.now + longest
+        while not outcome.is_there and self.now < ends_at:
+            self.passes(PERIOD)
+            outcome._thread.join(0.001)
+        wait_for(lambda: outcome.is_there)
+        outcome.raise_error()
+        return outcome.result
+
+    def starts_moving(self, velocity=(0.1, 0.0, 0.0), duration=1.0, stop=None):
+        outcome = Outcome(self.driver.move, velocity, duration, stop or NeverStopped())
+        wait_for(lambda: type(self.driver._command).__name__ == "_Move")
+        self.passes(0.3)
+        assert np.any(np.abs(self.driver._track.velocity) > AT_REST)
+        return outcome
+
+    def ends(self, outcome):
+        wait_for(lambda: outcome.is_there)
+        outcome.raise_error()
+
+    @property
+    def velocity(self):
+        return np.array(self.driver._stream.velocity)
+
+
+def test_a_move_lasts_its_duration_and_answers_what_was_measured():
+    lab = Lab()
+    began_at = lab.now
+    reached = lab.carries_out(lab.driver.move, (0.05, -0.02, 0.1), 0.5, NeverStopped())
+    assert began_at + 0.5 <= lab.now <= began_at + 0.6
+    assert not reached.limited
+    np.testing.assert_allclose(reached.pose, lab.pose.planar, atol=2e-3)
+    assert 0.02 < reached.velocity[0] < 0.05
+
+
+def test_moves_join_without_a_stop_and_the_arm_brakes_by_itself_when_none_follows():
+    lab = Lab()
+    for _ in range(3):
+        lab.carries_out(lab.driver.move, (0.05, 0.0, 0.0), 0.2, NeverStopped())
+        assert lab.velocity[0] == pytest.approx(0.05)
+    lab.passes(CONFIG.franka.coast - 0.03)
+    assert lab.velocity[0] == pytest.approx(0.05)
+    lab.passes(0.2)
+    np.testing.assert_array_equal(lab.velocity, 0.0)
+
+
+def test_a_velocity_above_the_limits_is_cut_and_that_is_told():
+    lab = Lab()
+    assert lab.carries_out(lab.driver.move, (1.0, 0.0, 0.0), 0.2, NeverStopped()).limited
+    assert lab.velocity[0] <= CONFIG.arm.max_speed
+
+
+@pytest.mark.parametrize(
+    ("velocity", "duration", "complaint"),
+    [((math.nan, 0.0, 0.0), 0.2, "velocity .* is refused"), ((0.1, 0.0, 0.0), 60.0, "duration 60.0 s is refused")],
+)
+def test_what_no_arm_should_be_told_is_refused(velocity, duration, complaint):
+    lab = Lab()
+    with pytest.raises(CommandError, match=complaint):
+        lab.driver.move(velocity, duration, NeverStopped())
+    np.testing.assert_array_equal(lab.velocity, 0.0)
+
+
+def test_the_arm_goes_to_a_pose_and_stops_there():
+    lab = Lab()
+    target = (0.4, 0.1, -1.0)
+    reached = lab.carries_out(lab.driver.go_to, target, NeverStopped())
+    assert np.hypot(*np.subtract(reached.pose, target)[:2]) <= CONFIG.franka.tolerance
+    assert np.all(np.abs(reached.velocity) <= AT_REST)
+
+
+def test_an_arm_that_is_held_does_not_reach_its_pose_and_says_how_far_off_it_is():
+    lab = Lab()
+    lab.follows = False
+    with pytest.raises(ArmFailedError, match=r"was not reached in .* 0\.100 m and 0\.00 rad away, .* 0\.050 m"):
+        lab.carries_out(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), NeverStopped())
+
+
+def test_a_pose_outside_the_workspace_is_refused():
+    with pytest.raises(CommandError, match="outside the workspace"):
+        Lab().driver.go_to((1.5, 0.0, 0.0), NeverStopped())
+
+
+def test_a_silence_breaks_the_command_off_and_no_set_point_is_sent_until_the_robot_is_back():
+    lab = Lab()
+    outcome = lab.starts_moving()
+    lab.sends_states = False
+    lab.passes(0.25)
+    with pytest.raises(ArmFailedError, match=r"broken off: no new state of the robot has come"):
+        lab.ends(outcome)
+    assert lab.sent[-1] is None
+    with pytest.raises(ArmNotReadyError, match="no new state"):
+        lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
+    lab.sends_states = True
+    lab.passes(0.02)
+    lab.passes(0.01)
+    np.testing.assert_allclose(lab.sent[-1].planar, lab.pose.planar, atol=1e-9)
+    np.testing.assert_array_equal(lab.velocity, 0.0)
+
+
+def test_a_state_that_is_sent_again_and_again_is_a_silence():
+    lab = Lab()
+    stamp = lab.now
+    lab.sends_states = False
+    for _ in range(30):
+        lab.passes(PERIOD)
+        lab.driver.see_state(stamp, 0.0, lab.end_effector(), lab.mode, (), ())
+    assert "no new state" in lab.driver.why_not_ready()
+
+
+def test_states_that_are_not_finite_break_the_command_off():
+    lab = Lab()
+    outcome = lab.starts_moving()
+    lab.sends_states = False
+    lab.now += PERIOD
+    assert lab.sees(np.full(16, math.nan)) is None
+    assert lab.driver.tick() is None
+    with pytest.raises(ArmFailedError, match="not finite"):
+        lab.ends(outcome)
+
+
+def test_a_pose_that_jumps_breaks_the_command_off_and_the_arm_stays_where_it_is_now():
+    lab = Lab()
+    outcome = lab.starts_moving()
+    x, y, theta = lab.pose.planar
+    lab.pose = lab.pose._replace(planar=(x, y + 0.08, theta))
+    lab.passes(0.02)
+    with pytest.raises(ArmFailedError, match=r"the robot's pose jumped by 0\.0[78]"):
+        lab.ends(outcome)
+    assert lab.driver.jumps == 1
+    assert lab.sent[-1].planar == pytest.approx(lab.pose.planar)
+    lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 0.1, NeverStopped())
+
+
+def test_a_reflex_breaks_the_command_off_with_its_name_and_later_commands_wait_for_the_recovery():
+    lab = Lab()
+    outcome = lab.starts_moving()
+    lab.mode, lab.errors = RobotMode.REFLEX, ("cartesian_reflex",)
+    lab.passes(0.03)
+    with pytest.raises(ArmFailedError, match="cartesian_reflex"):
+        lab.ends(outcome)
+    assert lab.sent[-1] is None
+    with pytest.raises(ArmBusyError, match="recovers by itself"):
+        lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
+
+
+def test_a_user_stop_breaks_the_command_off_and_stays_until_a_person_recovers():
+    lab = Lab()
+    outcome = lab.starts_moving()
+    lab.mode = RobotMode.USER_STOPPED
+    lab.passes(0.03)
+    with pytest.raises(ArmStoppedError, match="user stop is pressed"):
+        lab.ends(outcome)
+    lab.mode = RobotMode.MOVE
+    lab.passes(0.1)
+    with pytest.raises(ArmStoppedError, match="call /arm/recover"):
+        lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
+    assert lab.sent[-1] is None
+
+
+def test_a_stop_breaks_the_command_off_at_once_and_the_arm_comes_to_rest():
+    lab = Lab()
+    stop = StoppedBy("/operator")
+    outcome = lab.starts_moving(stop=stop)
+    stop.now = True
+    lab.passes(0.02)
+    with pytest.raises(ArmStoppedError, match="stopped by /operator"):
+        lab.ends(outcome)
+    before = np.array(lab.pose.planar)
+    reached = lab.carries_out(lab.driver.stop)
+    assert np.all(np.abs(reached.velocity) <= AT_REST)
+    assert np.hypot(*(lab.pose.planar - before)[:2]) < 0.03
+    lab.passes(0.5)
+    np.testing.assert_array_equal(lab.velocity, 0.0)
+
+
+def test_a_stop_of_a_silent_robot_does_not_claim_that_it_stands_still():
+    lab = Lab()
+    lab.sends_states = False
+    lab.passes(0.3)
+    with pytest.raises(ArmFailedError, match="whether the arm stands still is not known"):
+        lab.driver.stop()
+
+
+def test_a_command_of_an_arm_whose_ticks_have_ended_is_given_up():
+    lab = Lab()
+    outcome = Outcome(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())
+    wait_for(lambda: type(lab.driver._command).__name__ == "_Move")
+    lab.now += 0.6
+    with pytest.raises(ArmFailedError, match=r"no set-point was sent for 0\.5 s"):
+        lab.ends(outcome)
+
+
+@pytest.mark.parametrize(
+    ("place", "complaint"),
+    [
+        ({"height": 0.05}, r"0\.050 m above its height"),
+        ({"height": -0.05}, r"0\.050 m below its height"),
+        ({"tilt": (0.0, 0.2)}, r"0\.20 rad away from straight down"),
+        ({"pose": (0.8, 0.0, 0.0)}, r"0\.175 outside of workspace/x"),
+        ({"pose": (0.5, 0.0, -2.9)}, r"0\.900 outside of workspace/theta"),
+    ],
+)
+def test_an_arm_that_is_far_off_its_place_is_not_moved_and_it_is_said_by_how_much(place, complaint):
+    lab = Lab(**place)
+    with pytest.raises(ArmNotReadyError, match=complaint):
+        lab.driver.move((0.0, 0.0, 0.0), 0.1, NeverStopped())
+    lab.passes(0.3)
+    assert lab.sent[-1] == lab.sent[1]
+
+
+def test_an_arm_that_is_a_little_off_is_put_right_while_it_moves():
+    lab = Lab(pose=(0.64, 0.0, 0.0), height=0.02, tilt=(0.1, 0.0))
+    lab.carries_out(lab.driver.go_to, (0.6, 0.0, 0.0), NeverStopped())
+    lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 1.0, NeverStopped())
+    assert abs(lab.pose.height) < 0.003
+    assert lab.pose.tilt_angle < 0.02
+
+
+def test_an_arm_that_is_pushed_away_draws_its_set_point_after_it():
+    lab = Lab()
+    lab.follows = False
+    for _ in range(40):
+        x, y, theta = lab.pose.planar
+        lab.pose = lab.pose._replace(planar=(x, y + 0.003, theta))
+        lab.passes(PERIOD)
+    assert lab.driver.yields == 1
+    assert lab.driver.lead()[0] == pytest.approx(CONFIG.franka.max_lead, abs=0.004)
