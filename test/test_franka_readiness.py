@@ -39,6 +39,7 @@ class Robot:
         self.readiness.begin_recovery()
         assert self.reports(REFLEX) is Condition.RECOVERING
         self.readiness.end_recovery(refusal)
+        assert refusal or self.reports(REFLEX) is Condition.STARTING, "a state of before is no new reflex"
 
     @property
     def sentence(self):
@@ -132,6 +133,14 @@ def test_recoveries_come_by_themselves_with_growing_pauses_until_a_person_is_nee
     assert robot.reports() is Condition.READY
     assert robot.readiness.recoveries == 2
     assert robot.readiness.recoveries_in_a_row == 0
+
+
+def test_a_reflex_that_a_recovery_does_not_end_is_the_next_one():
+    robot = Robot(recoveries=2)
+    robot.reports(REFLEX)
+    robot.recovers()
+    assert robot.reports(REFLEX, after=GRACE + 0.1) is Condition.REFLEX
+    assert robot.readiness.recoveries_in_a_row == 1
 
 
 def test_without_recoveries_the_first_reflex_needs_a_person():

@@ -386,7 +386,7 @@ class FrankaDriver:
         lead, turn_lead = self._stream.lead(self._measured())
         return (
             f"pose {[round(value, 3) for value in target]} was not reached in {allowed:.1f} s: the arm is "
-            f"{distance:.3f} m and {turn:.2f} rad away, its set-point {lead:.3f} m and {turn_lead:.2f} rad ahead of it: "
+            f"{distance:.3f} m and {turn:.2f} rad away, its set-point {lead:.3f} m and {turn_lead:.2f} rad ahead: "
             "something is in its way; else its joints stick: raise franka/stiffness, franka/turn_stiffness, or "
             "franka/tolerance, franka/turn_tolerance"
         )

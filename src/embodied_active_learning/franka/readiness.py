@@ -101,6 +101,7 @@ class Readiness:
         self._uncontrolled_since: Optional[float] = None
         self._reflex_since: Optional[float] = None
         self._refusal = ""
+        self._recovered_at = -math.inf
         self._in_a_row = 0
         self.recoveries = 0
 
@@ -145,6 +146,23 @@ class Readiness:
     def errors_in_words(self) -> str:
         """The names of what is wrong now, else of what ended the last motion."""
         return ", ".join(self._report.errors or self._report.last_errors) or "no error is named"
+
+    @property
+    def mode_in_words(self) -> str:
+        """The robot's mode."""
+        known = {mode.value: mode.name.lower().replace("_", " ") for mode in RobotMode}
+        return known.get(self._report.mode, f"unknown ({self._report.mode})")
+
+    @property
+    def age_in_words(self) -> str:
+        """Seconds since a new state came; a dash where none did."""
+        return "-" if self._report.age is None else f"{self._report.age:.3f}"
+
+    @property
+    def controllers_in_words(self) -> str:
+        """Which controllers run."""
+        controllers = self._report.controllers or {}
+        return ", ".join(name for name, one in controllers.items() if one.state == "running") or "none known to run"
 
     @property
     def why_not_ready(self) -> str:
@@ -241,6 +259,7 @@ class Readiness:
     def end_recovery(self, refusal: str = "") -> None:
         """Note how a recovery ended: with a refusal of the robot in words, or well."""
         self._recovering, self._refusal = False, refusal
+        self._recovered_at = -math.inf if refusal else self._clock()
         self._in_a_row += 1
         self.recoveries += 1
         self._reflex_since = self._uncontrolled_since = None
@@ -280,7 +299,8 @@ class Readiness:
         if found is not None:
             return found
         if report.mode == RobotMode.REFLEX or report.errors:
-            return self._of_reflex()
+            # States of before a recovery may still be under way when it has ended.
+            return Condition.STARTING if now < self._recovered_at + GRACE else self._of_reflex()
         return self._of_control(report, now)
 
     def _of_reflex(self) -> Condition:
@@ -326,6 +346,7 @@ class Readiness:
             self._ready_since = None
             return
         self._was_ready = True
+        self._recovered_at = -math.inf
         if self._ready_since is None:
             self._ready_since = now
         elif now - self._ready_since >= GOOD_STRETCH:

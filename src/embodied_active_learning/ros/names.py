@@ -16,6 +16,18 @@ USB_CAM_IMAGE = "usb_cam/image_raw"
 USB_CAM_COMPRESSED = "usb_cam/image_raw/compressed"
 USB_CAM_INFO = "usb_cam/camera_info"
 
+# Of franka_ros, as a Panda's own launch file names them.
+FRANKA_STATES = "franka_state_controller/franka_states"
+FRANKA_SET_POINT = "cartesian_impedance_example_controller/equilibrium_pose"
+FRANKA_COMPLIANCE = "cartesian_impedance_example_controller/dynamic_reconfigure_compliance_param_node"
+FRANKA_RECOVERY = "franka_control/error_recovery"
+FRANKA_COLLISION = "franka_control/set_full_collision_behavior"
+FRANKA_LOAD = "franka_control/set_load"
+CONTROLLERS = "controller_manager/list_controllers"
+CONTROLLER_LOAD = "controller_manager/load_controller"
+CONTROLLER_UNLOAD = "controller_manager/unload_controller"
+CONTROLLER_SWITCH = "controller_manager/switch_controller"
+
 TRAINER_OBSERVE = "trainer/observe"
 TRAINER_ENTROPY = "trainer/entropy"
 TRAINER_ENCODE = "trainer/encode"
