@@ -17,9 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from embodied_active_learning.ros.node import run_node
-from fake_franka.generate import DEFAULT_FOLDER, generate
+from fake_franka.generate import use_messages
 
 if __name__ == "__main__":
-    generate(DEFAULT_FOLDER)
-    sys.path.append(str(DEFAULT_FOLDER))
-    run_node("fake_franka", importlib.import_module("fake_franka.stand_in").main)  # imports the messages that were made
+    use_messages()
+    run_node("fake_franka", importlib.import_module("fake_franka.stand_in").main)  # it imports those messages

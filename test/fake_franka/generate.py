@@ -48,6 +48,13 @@ def generate(folder: Path) -> List[str]:
     return names
 
 
+def use_messages() -> None:
+    """Make the packages importable in this process, from where they are installed or else from DEFAULT_FOLDER."""
+    generate(DEFAULT_FOLDER)
+    if str(DEFAULT_FOLDER) not in sys.path:
+        sys.path.append(str(DEFAULT_FOLDER))
+
+
 def _is_installed(package: str, folder: Path) -> bool:
     spec = importlib.util.find_spec(package)
     if spec is None or not spec.submodule_search_locations:

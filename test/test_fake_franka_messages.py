@@ -1,0 +1,69 @@
+"""Our description of franka_ros' messages: nodes made with it and with the originals understand each other."""
+
+import importlib
+import re
+
+import pytest
+
+from fake_franka.generate import generate
+
+# Found in code that others generated from the originals: C++ of franka_msgs 0.10 (messages, and the requests of
+# SetEEFrame and SetFullCollisionBehavior, from which those two services' follow), JavaScript of franka_control (other
+# services, whose fields have not changed since) and of ros_control 0.19, and C# of dynamic_reconfigure 1.7.
+ORIGINALS = {
+    "franka_msgs.msg.FrankaState": "431567d5df6caf4e4dd7385f25cb71ee",
+    "franka_msgs.msg.Errors": "082e9a670c96d8bc64b53e32777458e7",
+    "franka_msgs.msg.ErrorRecoveryAction": "d5a016b49f278075666fbc901debbd08",
+    "franka_msgs.srv.SetLoad": "c9a8ec436164dd9cbc1e5e137d358e0b",
+    "franka_msgs.srv.SetKFrame": "11b22d30e6a11a7b51828be575a77359",
+    "franka_msgs.srv.SetEEFrame": "459aea8fa6dbdd34ba4bc52d3eddbacf",
+    "franka_msgs.srv.SetEEFrameRequest": "cddf0858e7d540f5bcee9d813a7550a2",
+    "franka_msgs.srv.SetJointImpedance": "f11c4defa2a13040512214f9d77dc982",
+    "franka_msgs.srv.SetCartesianImpedance": "c648a0b1340a53eac0c535568e9b5c60",
+    "franka_msgs.srv.SetForceTorqueCollisionBehavior": "b1e592d1b6960bc05e6e3cba1eb02349",
+    "franka_msgs.srv.SetFullCollisionBehavior": "c6fef9a8ad446db9a39cca3b7bc200d8",
+    "franka_msgs.srv.SetFullCollisionBehaviorRequest": "bc875909c147220ba1720adcd48e47ea",
+    "franka_msgs.srv.SetFullCollisionBehaviorResponse": "45872d25d65c97743cc71afc6d4e884d",
+    "controller_manager_msgs.msg.ControllerState": "aeb6b261d97793ab74099a3740245272",
+    "controller_manager_msgs.srv.ListControllers": "1341feb2e63fa791f855565d0da950d8",
+    "controller_manager_msgs.srv.ListControllerTypes": "c1d4cd11aefa9f97ba4aeb5b33987f4e",
+    "controller_manager_msgs.srv.LoadController": "647e5c54b8d6468952d8d31f1efe96c0",
+    "controller_manager_msgs.srv.UnloadController": "647e5c54b8d6468952d8d31f1efe96c0",
+    "controller_manager_msgs.srv.SwitchController": "b29a7abc673b2c54c14b54e50f8d06a5",
+    "dynamic_reconfigure.srv.Reconfigure": "bb125d226a21982a4a98760418dc2672",
+}
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory):
+    """The folder of the modules, and the packages in it: those that are not installed."""
+    folder = tmp_path_factory.mktemp("messages")
+    return folder, generate(folder)
+
+
+def checksum(generated, name):
+    folder, packages = generated
+    package, kind, name = name.split(".")
+    if package not in packages:
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)._md5sum
+    module = re.sub("(Request|Response)$", "", name) if kind == "srv" else name
+    text = (folder / package / kind / f"_{module}.py").read_text()
+    return re.search(rf'^class {name}\(.*?_md5sum\s+= [\'"](\w+)', text, re.MULTILINE | re.DOTALL)[1]
+
+
+@pytest.mark.parametrize("name", sorted(ORIGINALS))
+def test_a_description_has_the_checksum_of_the_original(generated, name):
+    assert checksum(generated, name) == ORIGINALS[name]
+
+
+def test_modules_that_are_there_are_not_made_again_and_outdated_ones_are(generated):
+    folder, packages = generated
+    for package in packages:
+        stamp = folder / package / ".version"
+        marker = folder / package / "msg" / "marker"
+        marker.touch()
+        generate(folder)
+        assert marker.exists()
+        stamp.write_text("of another description")
+        generate(folder)
+        assert not marker.exists()
