@@ -14,7 +14,8 @@ from embodied_active_learning.ros.conversions import camera_info_message
 from fake_franka.camera import ENCODINGS, TableCamera, encode
 from fake_franka.computer import Computer, Every
 
-FRAME = "usb_cam"
+FRAME = "camera_optical_frame"
+"""What our launch file has usb_cam call it."""
 
 
 class FakeUsbCam:
