@@ -1,0 +1,36 @@
+"""The pipeline in real time, on the stand-in for franka_ros."""
+
+import json
+import os
+import subprocess
+
+import yaml
+
+from fake_franka.generate import DEFAULT_FOLDER, generate
+from launching import ROOT, started
+
+FAKE = ROOT / "test" / "fake_franka" / "fake_franka.launch"
+
+
+def with_franka_messages(variables):
+    """An environment in which franka_msgs can be imported, installed or generated."""
+    generate(DEFAULT_FOLDER)
+    return {**variables, "PYTHONPATH": f"{variables.get('PYTHONPATH', '')}{os.pathsep}{DEFAULT_FOLDER}"}
+
+
+def stand_in(home, variables, *arguments, prefix=()):
+    """The stand-in, started by its launch file once there is a master; its output in home/robot.log."""
+    command = [*prefix, "roslaunch", "--wait", "--sigint-timeout=10", FAKE, *arguments]
+    return started(list(map(str, command)), home / "robot.log", variables)
+
+
+def call(variables, service, request="{}", prefix=()):
+    """Call a service as a person does -> what it answers."""
+    command = [*prefix, "rosservice", "call", "--wait", service, request]
+    return subprocess.run(command, env=variables, check=True, capture_output=True, text=True, timeout=60).stdout
+
+
+def truth(variables, prefix=()):
+    """What the stand-in's arm did since this was asked last."""
+    answer = yaml.safe_load(call(variables, "/fake_franka/truth", prefix=prefix))
+    return json.loads(answer["message"])
