@@ -11,6 +11,8 @@ from embodied_active_learning.config import CameraConfig
 
 Location = Tuple[str, float, float]
 """Name or kind of an object, x [m], y [m]: where it really stands."""
+FIELD_TOLERANCE = 0.03
+"""Part by which a camera's calibrated field of view may differ from camera/field_of_view before that is told."""
 
 
 def wrap(angles: np.ndarray) -> np.ndarray:

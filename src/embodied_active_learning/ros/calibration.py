@@ -9,13 +9,10 @@ import rospy
 from sensor_msgs.msg import CameraInfo
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import field_of_view, intrinsics
+from embodied_active_learning.geometry import FIELD_TOLERANCE, field_of_view, intrinsics
 from embodied_active_learning.pictures import Framing
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import camera_info_message
-
-FIELD_TOLERANCE = 0.03
-"""Part by which the calibrated field of view may differ from camera/field_of_view before that is told."""
 
 
 def is_calibrated(info: Optional[CameraInfo]) -> bool:

@@ -44,6 +44,15 @@ def wait_for_master() -> int:
         time.sleep(0.2)
 
 
+def silence_at(uri: str) -> str:
+    """Why a node, or the master, at an address does not answer; empty when it does."""
+    try:
+        ServerProxy(uri, transport=_PunctualTransport()).getPid("/asking")
+    except _NO_ANSWER as error:
+        return str(error) or type(error).__name__
+    return ""
+
+
 class MasterWatch:
     """Ends this node when the master was restarted; says so, and waits, while the master cannot be reached.
 

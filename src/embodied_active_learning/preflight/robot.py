@@ -1,0 +1,139 @@
+"""Checks of a Panda under franka_ros, and of where an arm is."""
+
+from __future__ import annotations
+
+import math
+from typing import List, NamedTuple, Sequence
+
+import numpy as np
+
+from embodied_active_learning.config import REAL, Config
+from embodied_active_learning.preflight.finding import Finding, fine, missing, warning
+from embodied_active_learning.workspace import STATE_NAMES
+
+STATE_CONTROLLER = "franka_state_controller"
+CONTROLLER = "cartesian_impedance_example_controller"
+MODES = ("other", "idle", "move", "guiding", "reflex", "user stopped", "automatic error recovery")
+_READY = ("idle", "move")
+LEAST_SUCCESS = 0.95
+"""Part of the control commands that should reach the robot in time."""
+FRAME_TOLERANCE, TURN_TOLERANCE = 0.002, 0.01
+"""Metres and rad by which tf and the arm's state may differ while the arm stands still."""
+_MODE_MENDS = {
+    "user stopped": "release the user stop, then rosservice call /arm/recover",
+    "reflex": "see what the arm has touched, then rosservice call /arm/recover",
+    "guiding": "let go of the hand's buttons",
+}
+
+
+class Controller(NamedTuple):
+    """A controller as controller_manager lists it."""
+
+    name: str
+    state: str
+    claims: bool  # whether it moves joints
+
+
+def check_robot_state(mode: int, errors: Sequence[str], success_rate: float) -> List[Finding]:
+    """Mode, names of current errors and control_command_success_rate of franka_states."""
+    name = MODES[mode] if 0 <= mode < len(MODES) else f"unknown ({mode})"
+    if errors or name not in _READY:
+        mend = _MODE_MENDS.get(name, "rosservice call /arm/recover; look at Desk")
+        found = f"{name}, errors: {', '.join(errors) or 'none'}"
+        findings = [missing("robot mode", found, "the robot takes no motion in this mode", mend)]
+    else:
+        findings = [fine("robot mode", f"{name}, no errors")]
+    # While no controller moves the arm there are no commands, and the rate is 0.
+    found = f"{success_rate:.0%} of the commands arrive in time"
+    if name == "move" and success_rate < LEAST_SUCCESS:
+        findings.append(
+            warning(
+                "robot network",
+                found,
+                "lost commands end in communication_constraints_violation, in the middle of a run",
+                "a realtime kernel, a network card for the robot alone, no power saving, less load on this computer",
+            )
+        )
+    elif name == "move":
+        findings.append(fine("robot network", found))
+    return findings
+
+
+def check_controllers(controllers: Sequence[Controller]) -> List[Finding]:
+    """What controller_manager runs: the state controller and ours, and nothing else that moves joints."""
+    about, states = "controllers", {item.name: item.state for item in controllers}
+    why = "franka_arm reads the robot's state by the one, and moves the arm by the other"
+    findings = []
+    if states.get(STATE_CONTROLLER) != "running":
+        found = f"{STATE_CONTROLLER} is {states.get(STATE_CONTROLLER, 'not loaded')}"
+        mend = "franka_control.launch starts it; look at its log"
+        findings.append(missing(about, found, why, mend))
+    others = [item.name for item in controllers if item.claims and item.state == "running" and item.name != CONTROLLER]
+    if others:
+        findings.append(
+            missing(
+                about,
+                f"{', '.join(others)} drives the arm",
+                "two controllers cannot move the same joints, and franka_arm stops nobody else's",
+                f"rosrun controller_manager controller_manager stop {' '.join(others)}",
+            )
+        )
+    if CONTROLLER not in states:
+        findings.append(
+            missing(about, f"{CONTROLLER} is not loaded", why, "look at franka_arm's log: it loads and starts it")
+        )
+    elif states[CONTROLLER] != "running" and not others:
+        findings.append(
+            missing(about, f"{CONTROLLER} is {states[CONTROLLER]}", why, "rosservice call /arm/recover starts it")
+        )
+    return findings or [fine(about, f"{STATE_CONTROLLER} and {CONTROLLER} run, no other one moves joints")]
+
+
+def check_place(position: Sequence[float], optical_axis: Sequence[float], theta: float, config: Config) -> Finding:
+    """The camera's position (3,) m, optical axis (3,) and yaw, rad, in the base frame: can motion begin there."""
+    real = config.franka
+    height = config.camera.distance + (real.table_height if config.arm.robot == REAL else 0.0)
+    rise, tilt = position[2] - height, math.acos(max(-1.0, min(1.0, -optical_axis[2])))
+    state = (position[0], position[1], theta)
+    found = (
+        f"x {state[0]:.3f} m, y {state[1]:.3f} m, theta {state[2]:.2f} rad, {rise * 1e3:+.0f} mm from its height, "
+        f"tilted by {math.degrees(tilt):.1f} degrees"
+    )
+    if abs(rise) > real.max_height_error or tilt > real.max_tilt:
+        return missing(
+            "camera's place",
+            found,
+            f"motion begins only within {real.max_height_error * 1e3:.0f} mm and {math.degrees(real.max_tilt):.1f} "
+            "degrees (franka/max_height_error, franka/max_tilt)",
+            "guide the arm by hand to where the camera looks straight down from camera/distance above the table; see "
+            "whether franka/table_height, franka/camera_position and franka/camera_rotation are right",
+        )
+    box = config.workspace.box()
+    outside = [
+        name
+        for name, value, low, high in zip(STATE_NAMES, state, box.lower, box.upper)
+        if not low - 1e-3 <= value <= high + 1e-3
+    ]
+    if outside:
+        return warning(
+            "camera's place",
+            f"{found}: outside workspace/{', workspace/'.join(outside)}",
+            "the arm first goes back inside, straight",
+            "see that nothing is in its way; or guide it into the workspace by hand",
+        )
+    return fine("camera's place", found)
+
+
+def check_frames(tf_state: Sequence[float], arm_state: Sequence[float]) -> Finding:
+    """Planar pose (3,) m, m, rad of the camera by tf, against the arm's own."""
+    change = np.subtract(tf_state, arm_state)
+    distance, turn = math.hypot(change[0], change[1]), abs(math.remainder(change[2], 2.0 * math.pi))
+    found = f"tf and arm/state differ by {distance * 1e3:.1f} mm and {turn:.3f} rad"
+    if distance > FRAME_TOLERANCE or turn > TURN_TOLERANCE:
+        return missing(
+            "frames",
+            found,
+            "one of them has the camera where it is not, unless the arm is moving",
+            "the camera mount in tf has to be that of franka/camera_position and franka/camera_rotation",
+        )
+    return fine("frames", found)
