@@ -116,8 +116,8 @@ class System:
     def _controllers(self) -> List[Finding]:
         service_class = _message_class("controller_manager_msgs.srv", "ListControllers")
         if service_class is None:
-            return [_unreadable("controllers", names.LIST_CONTROLLERS, "controller_manager_msgs")]
-        name = rospy.resolve_name(names.LIST_CONTROLLERS)
+            return [_unreadable("controllers", names.CONTROLLERS, "controller_manager_msgs")]
+        name = rospy.resolve_name(names.CONTROLLERS)
         try:
             rospy.wait_for_service(name, SERVICE_PATIENCE)
             answer = rospy.ServiceProxy(name, service_class)()
