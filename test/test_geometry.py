@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pybullet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +18,8 @@ from embodied_active_learning.geometry import (
     move,
     pixels_of,
     pose_distance,
+    quaternion,
+    rotation_matrix,
     table_points,
     wrap,
 )
@@ -167,3 +170,9 @@ def test_turn_between_poses_is_taken_the_short_way():
 def test_a_camera_matrix_tells_the_field_of_view_that_it_was_made_for(camera):
     matrix = intrinsics(camera.width, camera.height, camera.field_of_view)
     assert field_of_view(matrix, camera.height) == pytest.approx(camera.field_of_view)
+
+
+@given(*[st.floats(-math.pi, math.pi)] * 3)
+def test_roll_pitch_and_yaw_are_turns_about_fixed_axes_as_in_a_urdf(roll, pitch, yaw):
+    expected = np.reshape(pybullet.getMatrixFromQuaternion(pybullet.getQuaternionFromEuler((roll, pitch, yaw))), (3, 3))
+    np.testing.assert_allclose(rotation_matrix(*quaternion(roll, pitch, yaw)), expected, atol=1e-9)

@@ -35,16 +35,17 @@ def check_picture(images: Sequence[np.ndarray], camera: CameraConfig, live: bool
                 "uncover the lens, switch on the light; look at the image in rviz or rqt_image_view",
             )
         ]
+    findings = [_exposure(newest), _sharpness(newest)]
     if live and len(images) >= SEVERAL and all(np.array_equal(image, newest) for image in images[-SEVERAL:]):
-        return [
-            missing(
+        findings.append(
+            warning(
                 "picture",
                 f"the last {SEVERAL} images are the same to the last bit",
-                "the camera or its driver is frozen",
-                "start the camera's driver again; another USB socket",
+                "a real camera has noise: it, or its driver, is frozen",
+                "wave a hand before it and look again; start the camera's driver again; another USB socket",
             )
-        ]
-    return [_exposure(newest), _sharpness(newest)]
+        )
+    return findings
 
 
 def check_camera_matrix(matrix: Sequence[float], height: int, width: int, camera: CameraConfig) -> Finding:

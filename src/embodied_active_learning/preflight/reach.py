@@ -7,9 +7,9 @@ import math
 from typing import NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
-import pybullet
 
 from embodied_active_learning.config import REAL, Config
+from embodied_active_learning.geometry import quaternion, rotation_matrix
 from embodied_active_learning.preflight.finding import Finding, fine, missing, warning
 from embodied_active_learning.simulation.panda_body import PandaBody
 from embodied_active_learning.simulation.servo import HOME, JOINT_LIMITS, joint_velocities
@@ -86,8 +86,7 @@ def mount_transform(config: Config) -> np.ndarray:
     """(4, 4) pose of the optical frame in the end effector's, as franka/ has it."""
     transform = np.eye(4)
     transform[:3, 3] = config.franka.camera_position
-    quaternion = pybullet.getQuaternionFromEuler(config.franka.camera_rotation)
-    transform[:3, :3] = np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+    transform[:3, :3] = rotation_matrix(*quaternion(*config.franka.camera_rotation))
     return transform
 
 

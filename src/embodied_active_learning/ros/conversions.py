@@ -7,13 +7,15 @@ from typing import Mapping, Sequence, Tuple
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
+from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import ObservationError
+from embodied_active_learning.geometry import quaternion
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.pictures import decode_raw
 from embodied_active_learning.ros import names
@@ -72,6 +74,13 @@ def camera_info_message(stamp: rospy.Time, intrinsics: np.ndarray, height: int, 
     info.R = np.eye(3).ravel().tolist()
     info.P = np.hstack([intrinsics, np.zeros((3, 1))]).ravel().tolist()
     return info
+
+
+def mount_message(stamp: rospy.Time, franka: FrankaConfig) -> TransformStamped:
+    """Where the camera is fixed to the end effector -> the transform of camera_optical_frame in panda_EE."""
+    header = Header(stamp=stamp, frame_id=names.END_EFFECTOR_FRAME)
+    transform = Transform(Vector3(*franka.camera_position), Quaternion(*quaternion(*franka.camera_rotation)))
+    return TransformStamped(header, names.CAMERA_FRAME, transform)
 
 
 def states_array(values: Sequence[float], size: int = 3) -> np.ndarray:

@@ -65,4 +65,5 @@ PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 
 BASE_FRAME = "panda_link0"
+END_EFFECTOR_FRAME = "panda_EE"  # as franka_state_controller names it
 CAMERA_FRAME = "camera_optical_frame"

@@ -200,7 +200,8 @@ class System:
                     "frames",
                     f"tf does not lead from {names.BASE_FRAME} to {names.CAMERA_FRAME}: {error}",
                     "rviz, rosbag and calibration tools go by tf",
-                    "robot_state_publisher, or a static_transform_publisher of the camera mount, has to run",
+                    "start robot_state_publisher; of a real robot franka_state_controller publishes panda_EE, and "
+                    "camera_pipeline the camera mount",
                 )
             ]
         theta = math.atan2(pose[1, 0], pose[0, 0])

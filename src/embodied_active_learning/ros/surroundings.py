@@ -13,6 +13,7 @@ import rosgraph
 import rospy
 import tf2_ros
 
+from embodied_active_learning.geometry import rotation_matrix
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.preflight.computer import Peer
 from embodied_active_learning.preflight.streams import Stream
@@ -123,7 +124,7 @@ class Frames:
         transform = self._buffer.lookup_transform(names.BASE_FRAME, names.CAMERA_FRAME, stamp).transform
         place, turn = transform.translation, transform.rotation
         pose = np.eye(4)
-        pose[:3, :3] = rotation_matrix((turn.x, turn.y, turn.z, turn.w))
+        pose[:3, :3] = rotation_matrix(turn.x, turn.y, turn.z, turn.w)
         pose[:3, 3] = place.x, place.y, place.z
         return pose
 
@@ -135,11 +136,3 @@ def listen(ears: Sequence[Any], seconds: float, once: bool) -> None:
         if once and all(ear.is_done for ear in ears):
             return
         time.sleep(_LOOK_PERIOD)
-
-
-def rotation_matrix(quaternion: Sequence[float]) -> np.ndarray:
-    """(3, 3) of a unit quaternion x, y, z, w."""
-    x, y, z, w = quaternion
-    vector = np.array([x, y, z])
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return (w * w - vector @ vector) * np.eye(3) + 2.0 * np.outer(vector, vector) + 2.0 * w * cross
