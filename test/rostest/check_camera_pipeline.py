@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 
 import rostest
 from embodied_active_learning.geometry import field_of_view, intrinsics
@@ -125,6 +126,13 @@ class CameraPipelineTest(unittest.TestCase):
                 image = image_array(message, 180, 180).astype(int)
                 np.testing.assert_allclose(image[20, 20], (20, 60, 200), atol=12)
                 np.testing.assert_allclose(image[20, 60], (200, 60, 20), atol=12)
+
+    def test_of_a_real_arm_tf_has_the_camera_where_it_is_mounted(self):
+        (transform,) = Inbox("compressed/tf_static", TFMessage).wait_for(lambda message: True).transforms
+        self.assertEqual((transform.header.frame_id, transform.child_frame_id), ("panda_EE", "camera_optical_frame"))
+        place, turn = transform.transform.translation, transform.transform.rotation
+        self.assertEqual((place.x, place.y, place.z), (0.05, 0.0, 0.02))
+        self.assertAlmostEqual(2.0 * np.arctan2(turn.z, turn.w), 1.5)
 
     def test_the_camera_matrix_is_of_the_image_and_a_field_of_view_that_does_not_fit_is_told(self):
         self.show(checkerboard(), "rgb8")
