@@ -13,7 +13,7 @@ import rostest
 HERE = Path(__file__).resolve().parent
 sys.path += [str(HERE), str(HERE.parents[1] / "tools")]
 
-from preflight_run import TIMEOUT, PreflightRun  # noqa: E402  lies beside this file
+from preflight_run import AS_A_USER, TIMEOUT, PreflightRun  # noqa: E402  lies beside this file
 
 from free_port import free_port  # noqa: E402  lies in tools/, which is no package
 
@@ -24,7 +24,7 @@ class PreflightTest(unittest.TestCase):
     def test_beside_a_simulated_arm_all_is_well_and_nothing_has_moved(self):
         rospy.wait_for_service("arm/recover", TIMEOUT)
         before = rospy.wait_for_message("arm/state", PlanarState, TIMEOUT)
-        run = PreflightRun()
+        run = PreflightRun(command=AS_A_USER)
         self.assertEqual(set(run.findings), run.about("OK"), run.output)
         self.assertEqual(run.status, 0, run.output)
         self.assertIn("all is well", run.output)
