@@ -18,7 +18,6 @@ from embodied_active_learning.geometry import (
     move,
     pixels_of,
     pose_distance,
-    quaternion,
     rotation_matrix,
     table_points,
     wrap,
@@ -172,7 +171,8 @@ def test_a_camera_matrix_tells_the_field_of_view_that_it_was_made_for(camera):
     assert field_of_view(matrix, camera.height) == pytest.approx(camera.field_of_view)
 
 
-@given(*[st.floats(-math.pi, math.pi)] * 3)
-def test_roll_pitch_and_yaw_are_turns_about_fixed_axes_as_in_a_urdf(roll, pitch, yaw):
-    expected = np.reshape(pybullet.getMatrixFromQuaternion(pybullet.getQuaternionFromEuler((roll, pitch, yaw))), (3, 3))
-    np.testing.assert_allclose(rotation_matrix(*quaternion(roll, pitch, yaw)), expected, atol=1e-9)
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda values: np.linalg.norm(values) > 0.01))
+def test_a_quaternion_gives_the_rotation_that_pybullet_has_for_it(values):
+    unit = values / np.linalg.norm(values)
+    expected = np.reshape(pybullet.getMatrixFromQuaternion(unit), (3, 3))
+    np.testing.assert_allclose(rotation_matrix(*unit), expected, atol=1e-9)

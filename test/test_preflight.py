@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.franka.readiness import CONTROLLER, Controller
 from embodied_active_learning.geometry import intrinsics
 from embodied_active_learning.preflight import computer, picture, reach, robot
 from embodied_active_learning.preflight.computer import Peer
 from embodied_active_learning.preflight.finding import ExitCode, Level, exit_code, fine, missing, summary, warning
-from embodied_active_learning.preflight.robot import CONTROLLER, STATE_CONTROLLER, Controller
+from embodied_active_learning.preflight.robot import STATE_CONTROLLER
 from embodied_active_learning.preflight.streams import Limits, Stream, check_stream
 
 CONFIG = Config()
@@ -148,26 +149,33 @@ def test_a_pressed_user_stop_is_mended_by_a_person():
     assert "release the user stop" in robot.check_robot_state(5, [], 0.0)[0].mend
 
 
-STATES, OURS = Controller(STATE_CONTROLLER, "running", False), Controller(CONTROLLER, "running", True)
-THEIRS = Controller("effort_joint_trajectory_controller", "running", True)
+RUNS, LOOKS, STOPPED = Controller("running", True), Controller("running", False), Controller("stopped", True)
+THEIRS = "effort_joint_trajectory_controller"
 
 
 @pytest.mark.parametrize(
     ("controllers", "words"),
     [
-        ([STATES, OURS], "no other one moves joints"),
-        ([OURS], f"{STATE_CONTROLLER} is not loaded"),
-        ([STATES], f"{CONTROLLER} is not loaded"),
-        ([STATES, OURS._replace(state="stopped")], f"{CONTROLLER} is stopped"),
-        ([STATES, THEIRS, OURS._replace(state="stopped")], "effort_joint_trajectory_controller drives the arm"),
-        ([STATES, OURS, THEIRS._replace(state="stopped")], "no other one moves joints"),
+        ({STATE_CONTROLLER: LOOKS, CONTROLLER: RUNS}, "nobody else moves the arm"),
+        ({CONTROLLER: RUNS}, f"{STATE_CONTROLLER} is not loaded"),
+        ({STATE_CONTROLLER: LOOKS}, f"{CONTROLLER} is not loaded"),
+        ({STATE_CONTROLLER: LOOKS, CONTROLLER: STOPPED}, f"{CONTROLLER} is stopped"),
+        ({STATE_CONTROLLER: LOOKS, CONTROLLER: STOPPED, THEIRS: RUNS}, f"{THEIRS} drives the arm"),
+        ({STATE_CONTROLLER: LOOKS, CONTROLLER: RUNS, THEIRS: STOPPED}, "nobody else moves the arm"),
     ],
 )
 def test_controllers_are_ours_and_nobody_elses(controllers, words):
-    findings = robot.check_controllers(controllers)
+    findings = robot.check_controllers(controllers, ["/franka_arm"])
     assert len(findings) == 1
     assert words in findings[0].found
-    assert (findings[0].level is Level.OK) == ("no other one" in words)
+    assert (findings[0].level is Level.OK) == ("nobody else" in words)
+
+
+def test_another_node_that_publishes_set_points_is_named():
+    controllers = {STATE_CONTROLLER: LOOKS, CONTROLLER: RUNS}
+    finding = robot.check_controllers(controllers, ["/franka_arm", "/interactive_marker"])[0]
+    assert finding.level is Level.MISSING
+    assert "/interactive_marker" in finding.found
 
 
 @pytest.mark.parametrize(

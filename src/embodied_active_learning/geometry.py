@@ -15,12 +15,6 @@ FIELD_TOLERANCE = 0.03
 """Part by which a camera's calibrated field of view may differ from camera/field_of_view before that is told."""
 
 
-def quaternion(roll: float, pitch: float, yaw: float) -> Tuple[float, float, float, float]:
-    """Unit quaternion x, y, z, w of turns, rad, about the fixed axes x, then y, then z, as a URDF has them."""
-    (a, b, c), (i, j, k) = zip(*((math.cos(angle / 2.0), math.sin(angle / 2.0)) for angle in (roll, pitch, yaw)))
-    return i * b * c - a * j * k, a * j * c + i * b * k, a * b * k - i * j * c, a * b * c + i * j * k
-
-
 def rotation_matrix(x: float, y: float, z: float, w: float) -> np.ndarray:
     """(3, 3) of a unit quaternion."""
     vector, cross = np.array([x, y, z]), np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

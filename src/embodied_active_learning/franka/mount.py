@@ -47,6 +47,16 @@ class CameraMount:
         franka = config.franka
         return cls(franka.camera_position, franka.camera_rotation, franka.table_height + config.camera.distance)
 
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) m of the optical frame in EE."""
+        return self._position
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """(3, 3) of the optical frame in EE."""
+        return self._rotation
+
     def camera_pose(self, end_effector: Sequence[float]) -> CameraPose:
         """O_T_EE, (16,) column by column, m -> the camera's pose, theta in [-pi, pi].
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple, Optional, Sequence, Tuple
+from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import REAL, Config
-from embodied_active_learning.geometry import quaternion, rotation_matrix
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.preflight.finding import Finding, fine, missing, warning
 from embodied_active_learning.simulation.panda_body import PandaBody
 from embodied_active_learning.simulation.servo import HOME, JOINT_LIMITS, joint_velocities
@@ -41,12 +41,10 @@ def find_reach(config: Config, flange_to_end_effector: Optional[np.ndarray] = No
     flange_to_end_effector (4, 4) is franka_states' F_T_EE; None takes the flange itself. A simulated arm has its camera
     at the flange.
     """
-    to_camera = np.eye(4) if flange_to_end_effector is None else flange_to_end_effector
-    height = config.camera.distance
+    mount = CameraMount((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), config.camera.distance)
     if config.arm.robot == REAL:
-        to_camera = to_camera @ mount_transform(config)
-        height += config.franka.table_height
-    to_flange = np.linalg.inv(to_camera)
+        mount = CameraMount.from_config(config)
+    to_flange = np.eye(4) if flange_to_end_effector is None else np.linalg.inv(flange_to_end_effector)
     box = config.workspace.box()
     axes = (np.linspace(low, high, count) for low, high, count in zip(box.lower, box.upper, GRID))
     reach, beyond = Reach(), []
@@ -54,7 +52,9 @@ def find_reach(config: Config, flange_to_end_effector: Optional[np.ndarray] = No
     try:
         for x, y, theta in itertools.product(*axes):
             pose = (float(x), float(y), float(theta))
-            joints = solve(body, _looking_down(pose, height) @ to_flange)
+            hand = np.eye(4)
+            hand[:3, 3], hand[:3, :3] = mount.end_effector(CameraPose(pose, 0.0, (0.0, 0.0)))
+            joints = solve(body, hand @ to_flange)
             if joints is None:
                 beyond.append(pose)
                 continue
@@ -82,14 +82,6 @@ def check_reach(reach: Reach) -> Finding:
     return fine("reach", found)
 
 
-def mount_transform(config: Config) -> np.ndarray:
-    """(4, 4) pose of the optical frame in the end effector's, as franka/ has it."""
-    transform = np.eye(4)
-    transform[:3, 3] = config.franka.camera_position
-    transform[:3, :3] = rotation_matrix(*quaternion(*config.franka.camera_rotation))
-    return transform
-
-
 def solve(body: PandaBody, target: np.ndarray) -> Optional[np.ndarray]:
     """Joint positions (7,) that bring the flange to a pose (4, 4), or None when there are none within the limits."""
     joints = HOME.copy()
@@ -103,14 +95,6 @@ def solve(body: PandaBody, target: np.ndarray) -> Optional[np.ndarray]:
         step = joint_velocities(body.jacobian(joints), twist, joints)
         joints += step * min(1.0, _LARGEST_STEP / np.abs(step).max())
     return None
-
-
-def _looking_down(pose: Sequence[float], height: float) -> np.ndarray:
-    """(4, 4) pose of an optical frame Rz(theta) Rx(pi) at x, y and a height."""
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    return np.array(
-        [[cosine, sine, 0.0, pose[0]], [sine, -cosine, 0.0, pose[1]], [0.0, 0.0, -1.0, height], [0.0, 0.0, 0.0, 1.0]]
-    )
 
 
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import List, NamedTuple, Sequence
+from typing import List, Mapping, Sequence
 
 import numpy as np
 
 from embodied_active_learning.config import REAL, Config
+from embodied_active_learning.franka.readiness import CONTROLLER, Controller, RobotMode
 from embodied_active_learning.preflight.finding import Finding, fine, missing, warning
 from embodied_active_learning.workspace import STATE_NAMES
 
 STATE_CONTROLLER = "franka_state_controller"
-CONTROLLER = "cartesian_impedance_example_controller"
-MODES = ("other", "idle", "move", "guiding", "reflex", "user stopped", "automatic error recovery")
 _READY = ("idle", "move")
 LEAST_SUCCESS = 0.95
 """Part of the control commands that should reach the robot in time."""
@@ -26,17 +25,10 @@ _MODE_MENDS = {
 }
 
 
-class Controller(NamedTuple):
-    """A controller as controller_manager lists it."""
-
-    name: str
-    state: str
-    claims: bool  # whether it moves joints
-
-
 def check_robot_state(mode: int, errors: Sequence[str], success_rate: float) -> List[Finding]:
     """Mode, names of current errors and control_command_success_rate of franka_states."""
-    name = MODES[mode] if 0 <= mode < len(MODES) else f"unknown ({mode})"
+    known = {item.value: item.name.lower().replace("_", " ") for item in RobotMode}
+    name = known.get(mode, f"unknown ({mode})")
     if errors or name not in _READY:
         mend = _MODE_MENDS.get(name, "rosservice call /arm/recover; look at Desk")
         found = f"{name}, errors: {', '.join(errors) or 'none'}"
@@ -59,16 +51,20 @@ def check_robot_state(mode: int, errors: Sequence[str], success_rate: float) -> 
     return findings
 
 
-def check_controllers(controllers: Sequence[Controller]) -> List[Finding]:
-    """What controller_manager runs: the state controller and ours, and nothing else that moves joints."""
-    about, states = "controllers", {item.name: item.state for item in controllers}
-    why = "franka_arm reads the robot's state by the one, and moves the arm by the other"
+def check_controllers(controllers: Mapping[str, Controller], set_points_from: Sequence[str]) -> List[Finding]:
+    """What controller_manager has, by name, and the nodes that publish set-points to our controller.
+
+    The state controller and ours have to run, and nobody else may move the arm.
+    """
+    about, why = "controllers", "franka_arm reads the robot's state by the one, and moves the arm by the other"
     findings = []
-    if states.get(STATE_CONTROLLER) != "running":
-        found = f"{STATE_CONTROLLER} is {states.get(STATE_CONTROLLER, 'not loaded')}"
+    state = controllers[STATE_CONTROLLER].state if STATE_CONTROLLER in controllers else "not loaded"
+    if state != "running":
         mend = "franka_control.launch starts it; look at its log"
-        findings.append(missing(about, found, why, mend))
-    others = [item.name for item in controllers if item.claims and item.state == "running" and item.name != CONTROLLER]
+        findings.append(missing(about, f"{STATE_CONTROLLER} is {state}", why, mend))
+    others = [
+        name for name, item in controllers.items() if item.moves and item.state == "running" and name != CONTROLLER
+    ]
     if others:
         findings.append(
             missing(
@@ -78,15 +74,20 @@ def check_controllers(controllers: Sequence[Controller]) -> List[Finding]:
                 f"rosrun controller_manager controller_manager stop {' '.join(others)}",
             )
         )
-    if CONTROLLER not in states:
+    state = controllers[CONTROLLER].state if CONTROLLER in controllers else "not loaded"
+    if state != "running" and not others:
+        mend = "look at franka_arm's log, which loads and starts it; rosservice call /arm/recover"
+        findings.append(missing(about, f"{CONTROLLER} is {state}", why, mend))
+    if len(set_points_from) > 1:
         findings.append(
-            missing(about, f"{CONTROLLER} is not loaded", why, "look at franka_arm's log: it loads and starts it")
+            missing(
+                about,
+                f"{', '.join(set_points_from)} all publish set-points",
+                "the arm is drawn to and fro between them",
+                "end all but franka_arm; the interactive marker of franka_example_controllers is one of them",
+            )
         )
-    elif states[CONTROLLER] != "running" and not others:
-        findings.append(
-            missing(about, f"{CONTROLLER} is {states[CONTROLLER]}", why, "rosservice call /arm/recover starts it")
-        )
-    return findings or [fine(about, f"{STATE_CONTROLLER} and {CONTROLLER} run, no other one moves joints")]
+    return findings or [fine(about, f"{STATE_CONTROLLER} and {CONTROLLER} run, and nobody else moves the arm")]
 
 
 def check_place(position: Sequence[float], optical_axis: Sequence[float], theta: float, config: Config) -> Finding:

@@ -13,9 +13,8 @@ from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2, PointFie
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.geometry import quaternion
+from embodied_active_learning.franka.mount import CameraMount, quaternion
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.pictures import decode_raw
 from embodied_active_learning.ros import names
@@ -76,10 +75,10 @@ def camera_info_message(stamp: rospy.Time, intrinsics: np.ndarray, height: int, 
     return info
 
 
-def mount_message(stamp: rospy.Time, franka: FrankaConfig) -> TransformStamped:
+def mount_message(stamp: rospy.Time, mount: CameraMount) -> TransformStamped:
     """Where the camera is fixed to the end effector -> the transform of camera_optical_frame in panda_EE."""
     header = Header(stamp=stamp, frame_id=names.END_EFFECTOR_FRAME)
-    transform = Transform(Vector3(*franka.camera_position), Quaternion(*quaternion(*franka.camera_rotation)))
+    transform = Transform(Vector3(*mount.position), Quaternion(*quaternion(mount.rotation)))
     return TransformStamped(header, names.CAMERA_FRAME, transform)
 
 

@@ -61,7 +61,7 @@ class FrankaLink:
     def controllers(self) -> Dict[str, Controller]:
         """Every controller that is loaded, by name."""
         answer = _call(names.CONTROLLERS, ListControllers)
-        return {one.name: Controller(one.state, _moves(one)) for one in answer.controller}
+        return {one.name: Controller(one.state, moves(one)) for one in answer.controller}
 
     def load(self) -> None:
         """Load our controller."""
@@ -157,7 +157,7 @@ def set_stiffness_parameters(config: FrankaConfig) -> bool:
     return changed
 
 
-def _moves(controller: Any) -> bool:
+def moves(controller: Any) -> bool:
     """Whether a controller claims anything by which it could move the robot."""
     return any(
         claim.resources and not claim.hardware_interface.endswith(_LOOKING) for claim in controller.claimed_resources

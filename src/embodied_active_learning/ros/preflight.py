@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from embodied_active_learning.config import REAL, SIMULATED, Config
 from embodied_active_learning.errors import ObservationError
+from embodied_active_learning.franka.readiness import Controller
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.preflight import computer, picture, reach, robot, streams
 from embodied_active_learning.preflight.finding import Finding, fine, missing
@@ -29,6 +30,13 @@ from embodied_active_learning.ros.surroundings import (
     look_at_graph,
     look_for_peers,
 )
+
+try:
+    from embodied_active_learning.ros import franka_link
+
+    MISSING = ""
+except ImportError as error:
+    franka_link, MISSING = None, error.name or str(error)
 
 SERVICES = (names.ARM_MOVE, names.ARM_GO_TO, names.ARM_KEEP, names.ARM_STOP, names.ARM_RECOVER)
 LEFT_OVER = (
@@ -71,9 +79,8 @@ class System:
         compressed = rospy.get_param("camera_pipeline/transport", "raw") == "compressed"
         source = (names.USB_CAM_COMPRESSED, CompressedImage) if compressed else (names.USB_CAM_IMAGE, Image)
         topics["source"] = source
-        states = _message_class("franka_msgs.msg", "FrankaState")
-        if states is not None:
-            topics["robot"] = (names.FRANKA_STATES, states)
+        if franka_link is not None:
+            topics["robot"] = (names.FRANKA_STATES, franka_link.FrankaState)
         return topics
 
     def clock(self) -> Finding:
@@ -96,14 +103,14 @@ class System:
     def robot_state(self) -> List[Finding]:
         """What franka_ros says of the robot."""
         if "robot" not in self._streams:
-            return [_unreadable("robot state", names.FRANKA_STATES, "franka_msgs")]
+            return [_unreadable("robot state", names.FRANKA_STATES)]
         limits = streams.Limits(self._config.franka.state_max_age, FUTURE_TOLERANCE)
         why = "franka_arm knows by it where the arm is, and whether it may move"
         finding = streams.check_stream("robot state", self._streams["robot"], why, self._start, limits)
         newest = self._newest("robot")
         if newest is None:
             return [finding]
-        errors = [name for name in newest.current_errors.__slots__ if getattr(newest.current_errors, name)]
+        errors = franka_link.error_names(newest.current_errors)
         return [
             finding,
             *robot.check_robot_state(newest.robot_mode, errors, newest.control_command_success_rate),
@@ -114,26 +121,18 @@ class System:
         return [*self._controllers(), self._recovery()]
 
     def _controllers(self) -> List[Finding]:
-        service_class = _message_class("controller_manager_msgs.srv", "ListControllers")
-        if service_class is None:
-            return [_unreadable("controllers", names.CONTROLLERS, "controller_manager_msgs")]
+        if franka_link is None:
+            return [_unreadable("controllers", names.CONTROLLERS)]
         name = rospy.resolve_name(names.CONTROLLERS)
         try:
             rospy.wait_for_service(name, SERVICE_PATIENCE)
-            answer = rospy.ServiceProxy(name, service_class)()
+            answer = rospy.ServiceProxy(name, franka_link.ListControllers)()
         except (rospy.ROSException, rospy.ServiceException) as error:
             why = "franka_arm moves the arm by a controller that it loads and starts there"
             return [missing("controllers", f"{name} does not answer: {error}", why, self._start)]
-        return robot.check_controllers(
-            [
-                robot.Controller(
-                    item.name,
-                    item.state,
-                    any(part.resources for part in item.claimed_resources),
-                )
-                for item in answer.controller
-            ]
-        )
+        controllers = {item.name: Controller(item.state, franka_link.moves(item)) for item in answer.controller}
+        set_points_from = self._graph.publishers.get(rospy.resolve_name(names.FRANKA_SET_POINT), [])
+        return robot.check_controllers(controllers, set_points_from)
 
     def _recovery(self) -> Finding:
         topic = f"{rospy.resolve_name(names.FRANKA_RECOVERY)}/status"
@@ -237,18 +236,10 @@ class System:
         return messages[-1] if messages else None
 
 
-def _message_class(module: str, name: str) -> Any:
-    """A message or service of a package that may not be installed; None without it."""
-    try:
-        return getattr(__import__(module, fromlist=[name]), name)
-    except ImportError:
-        return None
-
-
-def _unreadable(about: str, name: str, package: str) -> Finding:
+def _unreadable(about: str, name: str) -> Finding:
     return missing(
         about,
-        f"{rospy.resolve_name(name)} cannot be read: {package} is not installed here",
+        f"{rospy.resolve_name(name)} cannot be read: {MISSING} is not installed here",
         "franka_arm cannot read it either",
         "apt-get install ros-noetic-franka-ros; or run preflight on the robot's computer",
     )
