@@ -185,7 +185,8 @@ def test_another_node_that_publishes_set_points_is_named():
         ((0.475, 0.0, 0.31), 0.1, "OK"),
         ((0.475, 0.0, 0.34), 0.0, "MISSING"),
         ((0.475, 0.0, 0.3), 0.3, "MISSING"),
-        ((0.475, 0.3, 0.3), 0.0, "WARNING"),
+        ((0.475, 0.2, 0.3), 0.0, "WARNING"),
+        ((0.475, 0.4, 0.3), 0.0, "MISSING"),
     ],
 )
 def test_motion_begins_only_close_to_the_cameras_height_and_upright(place, tilt, level):

@@ -18,6 +18,7 @@ LEAST_SUCCESS = 0.95
 """Part of the control commands that should reach the robot in time."""
 FRAME_TOLERANCE, TURN_TOLERANCE = 0.002, 0.01
 """Metres and rad by which tf and the arm's state may differ while the arm stands still."""
+_OUTSIDE = 1e-3  # m, rad: an arm at rest at a border is not outside
 _MODE_MENDS = {
     "user stopped": "release the user stop, then rosservice call /arm/recover",
     "reflex": "see what the arm has touched, then rosservice call /arm/recover",
@@ -110,15 +111,19 @@ def check_place(position: Sequence[float], optical_axis: Sequence[float], theta:
             "whether franka/table_height, franka/camera_position and franka/camera_rotation are right",
         )
     box = config.workspace.box()
-    outside = [
-        name
-        for name, value, low, high in zip(STATE_NAMES, state, box.lower, box.upper)
-        if not low - 1e-3 <= value <= high + 1e-3
-    ]
+    beyond = np.maximum(np.subtract(box.lower, state), np.subtract(state, box.upper))
+    outside = [f"workspace/{name}" for name, far in zip(STATE_NAMES, beyond) if far > _OUTSIDE]
+    if np.any(beyond > (real.max_outside, real.max_outside, real.max_turn_outside)):
+        return missing(
+            "camera's place",
+            f"{found}: far outside of {', '.join(outside)}",
+            "motion does not begin there (franka/max_outside, franka/max_turn_outside)",
+            "guide the arm by hand into the workspace; or see to the camera's mount",
+        )
     if outside:
         return warning(
             "camera's place",
-            f"{found}: outside workspace/{', workspace/'.join(outside)}",
+            f"{found}: outside of {', '.join(outside)}",
             "the arm first goes back inside, straight",
             "see that nothing is in its way; or guide it into the workspace by hand",
         )
