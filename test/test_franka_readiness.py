@@ -152,10 +152,10 @@ def test_a_recovery_that_the_robot_refuses_counts_and_is_told():
     robot.reports(REFLEX)
     robot.recovers("command rejected")
     assert robot.reports(REFLEX) is Condition.REFLEX
-    assert "the last recovery failed: command rejected" in robot.sentence
+    assert "last time: command rejected" in robot.sentence
     robot.recovers("command rejected")
     assert robot.reports(REFLEX) is Condition.HELD
-    assert "the robot refused the last one: command rejected" in robot.sentence
+    assert "last time: command rejected" in robot.sentence
 
 
 def test_after_a_good_stretch_reflexes_of_before_count_no_more():

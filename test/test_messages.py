@@ -18,9 +18,12 @@ from messages import TABLES, Module, Scanner, explained, find_messages  # noqa: 
 
 # Where a message is given whose text is not written there, and where it is written.
 PASSED_ON = {
+    "src/embodied_active_learning/franka/driver.py: FrankaDriver._begin": "what preparing the robot has raised",
+    "src/embodied_active_learning/franka/driver.py: FrankaDriver._measured": "what preparing the robot has raised",
     "src/embodied_active_learning/ros/arm_client.py: ArmClient.stop": "the arm's answer: what its node raises",
     "src/embodied_active_learning/ros/arm_client.py: _command": "the arm's answer: what its node raises",
     "src/embodied_active_learning/ros/failure.py: FailureWatch.check": "the reason that another node has left",
+    "src/embodied_active_learning/ros/franka_keeper.py: FrankaKeeper.recover": "what the driver says it lacks",
     "src/embodied_active_learning/ros/guided_arm.py: GuidedArm._bear": "an error that was raised elsewhere",
     "src/embodied_active_learning/ros/guided_arm.py: GuidedArm.wait_while_paused": "told as: paused, waiting for ...",
     "src/embodied_active_learning/ros/node.py: wait_until": "what its callers say that they wait for",

@@ -263,3 +263,38 @@ def test_a_command_that_fails_does_not_leave_the_arm_busy():
         raise ZeroDivisionError
     with commander.command(request("/a")):
         pass
+
+
+@pytest.mark.parametrize("caller", ["/operator", "/ergodic_planner"])
+def test_a_command_that_takes_time_is_told_of_a_stop_and_by_whom(caller):
+    commander = Commander(5.0, Clock())
+    told = []
+
+    def stop():
+        with commander.stop(request(caller)):
+            told.append("stopped")
+
+    with commander.command(request("/ergodic_planner")) as interruption:
+        assert not interruption.happened()
+        thread = in_a_thread(stop)
+        wait_for(interruption.happened)
+        assert not told, "it waits until the command has ended"
+    thread.join(10.0)
+    assert (interruption.by, told) == (caller, ["stopped"])
+
+
+def test_a_stop_tells_only_the_command_that_is_under_way():
+    commander = driven(Clock())
+    with commander.stop(request("/ergodic_planner")):
+        pass
+    with commander.command(request("/ergodic_planner")) as interruption:
+        assert not interruption.happened()
+
+
+def test_an_arm_that_ends_does_not_wait_for_a_command_that_looks():
+    commander = Commander(5.0, Clock())
+    with commander.command(request("/ergodic_planner")) as interruption:
+        thread = in_a_thread(commander.end)
+        wait_for(interruption.happened)
+    thread.join(10.0)
+    assert not thread.is_alive()

@@ -4,6 +4,7 @@
 import json
 import os
 import sys
+import time
 import unittest
 from pathlib import Path
 
@@ -24,12 +25,21 @@ from node_process import NodeProcess
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from fake_franka.generate import DEFAULT_FOLDER, generate
-from threads import in_a_thread, wait_for
+from threads import in_a_thread
 
-TIMEOUT = 30.0
+TIMEOUT = 60.0
 CENTRE = Workspace().centre
 OURS, OTHER = "cartesian_impedance_example_controller", "position_joint_trajectory_controller"
 OPERATOR = {"callerid": "/operator"}
+
+
+def until(condition):
+    """Return as soon as a condition holds; a busy machine may take its time."""
+    ends_at = time.monotonic() + TIMEOUT
+    while not condition():
+        if time.monotonic() > ends_at:
+            raise AssertionError("it has not come about")
+        time.sleep(0.01)
 
 
 class Move:
@@ -78,8 +88,10 @@ class FrankaArmTest(unittest.TestCase):
         for switch in ("user_stop", "silence_states", "silence_everything"):
             self.switch(switch, False)
         self.is_recovered()
-        answer = self.go_to(*CENTRE)
-        self.assertTrue(answer.success, answer.message)
+        until(lambda: self.states)
+        if abs(self.states[-1].x - CENTRE[0]) > 0.04:
+            answer = self.go_to(*CENTRE)
+            self.assertTrue(answer.success, answer.message)
         self.truth()
 
     def tearDown(self):
@@ -109,23 +121,26 @@ class FrankaArmTest(unittest.TestCase):
     def is_recovered(self):
         """Until the arm takes commands, by a person's word where need be."""
         answers = []
-        wait_for(lambda: answers.append(self.recover()) or answers[-1].success)
+        until(lambda: answers.append(self.recover()) or answers[-1].success)
 
     def moving(self, duration=1.0, **headers):
         """A move under way, with the arm in motion."""
         service = rospy.ServiceProxy("arm/move", MoveArm, headers=headers) if headers else self.move
         move = Move(service, duration=duration)
-        wait_for(lambda: self.states and self.states[-1].vx > 0.02)
+        until(lambda: self.states and self.states[-1].vx > 0.02)
         return move
 
     def takes_commands(self):
         """Until the arm moves again when it is told to, as a planner tries it again and again."""
         answers = []
-        wait_for(lambda: answers.append(self.move(0.0, 0.0, 0.0, 0.1)) or answers[-1].success)
+        until(lambda: answers.append(self.move(0.0, 0.0, 0.0, 0.1)) or answers[-1].success)
         return answers
 
     def stands_still(self):
-        wait_for(lambda: self.truth()["speed"] < 1e-3)
+        """Until the arm truly does -> what it did until then."""
+        told = [self.truth()]
+        until(lambda: told[-1]["speed"] < 1e-3 or told.append(self.truth()))
+        return {**told[-1], "travelled": sum(each["travelled"] for each in told)}
 
     def test_moves_join_and_are_answered_with_what_was_measured(self):
         for _ in range(4):
@@ -139,7 +154,7 @@ class FrankaArmTest(unittest.TestCase):
         self.stands_still()
 
     def test_the_arm_goes_to_a_pose_and_stops_there(self):
-        target = np.add(CENTRE, (-0.05, 0.05, 1.0))
+        target = np.add(CENTRE, (-0.04, 0.04, 0.5))
         answer = self.go_to(*target)
         self.assertTrue(answer.success, answer.message)
         state, velocity = state_arrays(answer.state)
@@ -184,13 +199,12 @@ class FrankaArmTest(unittest.TestCase):
 
     def test_recoveries_that_fail_need_a_person_in_the_end(self):
         self.trigger("fail_next_recovery")
-        self.trigger("fail_next_recovery")
         move = self.moving()
         self.trigger("reflex")
         self.assertEqual(move.answered().cause, ArmCause.FAILED)
-        wait_for(lambda: self.move(0.0, 0.0, 0.0, 0.1).cause == ArmCause.STOPPED)
+        until(lambda: self.move(0.0, 0.0, 0.0, 0.1).cause == ArmCause.STOPPED)
         answer = self.move(0.0, 0.0, 0.0, 0.1)
-        self.assertIn("after 2 recoveries in a row", answer.message)
+        self.assertIn("after 1 recoveries in a row", answer.message)
         self.assertIn("manual error recovery required", answer.message)
         self.assertEqual(self.truth()["recoveries"], 0)
         self.assertTrue(self.recover().success)
@@ -201,9 +215,9 @@ class FrankaArmTest(unittest.TestCase):
         self.assertEqual(move.answered().cause, ArmCause.STOPPED)
         self.assertIn("user stop is pressed", move.answer.message)
         self.assertIn("release it", self.recover().message)
-        wait_for(lambda: "user stop is pressed" in self.health["franka_arm: arm"].message)
+        until(lambda: "user stop is pressed" in self.health["franka_arm: arm"].message)
         self.switch("user_stop", False)
-        wait_for(lambda: "user stop was pressed, and is released" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: "user stop was pressed, and is released" in self.move(0.0, 0.0, 0.0, 0.1).message)
         truth = self.truth()
         self.assertEqual((truth["recoveries"], truth["speed"]), (0, 0.0))
         answer = self.recover()
@@ -234,31 +248,21 @@ class FrankaArmTest(unittest.TestCase):
         self.takes_commands()
         self.assertEqual(self.truth()["recoveries"], 1)
 
-    def test_a_pose_that_jumps_ends_the_move_and_nothing_is_drawn_back(self):
-        self.assertTrue(self.go_to(*(CENTRE - (0.05, 0.05, 0.0))).success)
-        move = self.moving()
-        self.trigger("pose_jump")
-        self.assertEqual(move.answered().cause, ArmCause.FAILED)
-        self.assertIn("the robot's pose jumped", move.answer.message)
-        self.takes_commands()
-        truth = self.truth()
-        self.assertEqual(truth["reflexes"], 0)
-
     def test_another_controller_is_named_and_never_stopped(self):
         self.controllers("load", OTHER)
         self.assertTrue(self.controllers("switch", [OTHER], [OURS], 2, False, 0.0))
-        wait_for(lambda: OTHER in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: OTHER in self.move(0.0, 0.0, 0.0, 0.1).message)
         answer = self.recover()
         self.assertFalse(answer.success)
         self.assertIn(f"{OTHER} moves the robot", answer.message)
         self.assertTrue(self.controllers("switch", [], [OTHER], 2, False, 0.0), "it was stopped by somebody else")
-        wait_for(lambda: "was stopped, not by this node" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: "was stopped, not by this node" in self.move(0.0, 0.0, 0.0, 0.1).message)
         self.assertTrue(self.recover().success)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
     def test_another_node_that_sends_set_points_is_named(self):
         rival = rospy.Publisher(f"{OURS}/equilibrium_pose", PoseStamped, queue_size=1)
-        wait_for(lambda: "/check_franka_arm sends set-points" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: "/check_franka_arm sends set-points" in self.move(0.0, 0.0, 0.0, 0.1).message)
         rival.unregister()
         self.takes_commands()
 
@@ -266,8 +270,7 @@ class FrankaArmTest(unittest.TestCase):
         dead = rospy.ServiceProxy("arm/move", MoveArm, headers={"callerid": "/dead"})
         self.assertTrue(self.stop().success)
         self.assertTrue(dead(0.1, 0.0, 0.0, 0.2).success)
-        self.stands_still()
-        self.assertLess(self.truth()["travelled"], 0.1)
+        self.assertLess(self.stands_still()["travelled"], 0.1)
         self.takes_commands()
 
     def test_a_killed_node_leaves_the_arm_at_rest_and_is_ready_again_when_it_is_started_anew(self):
@@ -288,14 +291,22 @@ class FrankaArmTest(unittest.TestCase):
             except rospy.ServiceException:
                 return False
 
-        wait_for(tried)
+        until(tried)
 
-    def test_a_node_that_is_asked_to_end_in_a_move_brakes_and_ends_well(self):
+    def test_the_pose_that_jumps_ends_the_move_and_the_arm_stays_where_it_is_now(self):
+        """One of the last: afterwards the stand-in tells poses that are beside the truth."""
+        move = self.moving()
+        self.trigger("pose_jump")
+        self.assertEqual(move.answered().cause, ArmCause.FAILED)
+        self.assertIn("the robot's pose jumped", move.answer.message)
+        self.takes_commands()
+        self.stands_still()
+
+    def test_when_it_is_asked_to_end_in_a_move_the_node_brakes_and_ends_well(self):
+        """The last one: the node is gone afterwards."""
         self.moving(duration=1.0)
         self.assertEqual(self.arm.end(), 0)
         self.assertLess(self.truth()["speed"], 0.02)
-        type(self).arm = NodeProcess("franka_arm")
-        self.takes_commands_anew()
 
 
 if __name__ == "__main__":

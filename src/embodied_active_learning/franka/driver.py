@@ -20,7 +20,6 @@ from embodied_active_learning.errors import (
     ArmFailedError,
     ArmNotReadyError,
     ArmStoppedError,
-    CommandError,
     ObservationError,
 )
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
@@ -63,7 +62,8 @@ class _Command:
     """What the ticks are to do, and what has become of it."""
 
     def __init__(self) -> None:
-        self.failure: Optional[CommandError] = None
+        self.why_broken_off = ""
+        self.for_person = False
         self.limited = False
 
     def tick(self, stream: SetPointStream, measured: CameraPose, period: float) -> Step:
@@ -153,7 +153,7 @@ class FrankaDriver:
             except ObservationError as error:
                 trouble = str(error)
             else:
-                self._note_jump(self._track.add(stamp, pose))
+                self._follow(stamp, pose)
             self._report = self._report._replace(
                 trouble=trouble, mode=mode, errors=tuple(errors), last_errors=tuple(last_errors), delay=delay
             )
@@ -234,7 +234,7 @@ class FrankaDriver:
                 if self._readiness.condition in (Condition.AWAITED, Condition.SILENT, Condition.UNUSABLE):
                     raise ArmFailedError(
                         "no set-point is sent any more, but whether the arm stands still is not known: "
-                        + self._readiness.why_not_ready
+                        f"{self._readiness.why_not_ready}"
                     )
                 self._pause(min(_LOOK, ends_at - self._clock()))
             if self._command is command:
@@ -265,6 +265,13 @@ class FrankaDriver:
         with self._changed:
             return self._is_at_rest()
 
+    def _follow(self, stamp: float, pose: CameraPose) -> None:
+        try:
+            self._track.add(stamp, pose)
+        except ObservationError as error:
+            self._jump = str(error)
+            self.jumps += 1
+
     def _is_at_rest(self) -> bool:
         fresh = self._look().condition not in (Condition.AWAITED, Condition.SILENT, Condition.UNUSABLE)
         still = all(abs(speed) <= limit for speed, limit in zip(self._track.velocity, AT_REST))
@@ -275,12 +282,12 @@ class FrankaDriver:
         measured = self._track.pose
         if not self._look().is_ready or measured is None:
             self._stream.end()
-            self._fail(self._broken_off())
+            self._break_off(self._readiness.why_not_ready, self._readiness.condition in _FOR_PERSONS)
             self._jump = ""
             return None
         if self._jump:
             self._stream.end()
-            self._fail(ArmFailedError(f"the command was broken off: {self._jump}"))
+            self._break_off(self._jump)
             self._jump = ""
         if self._stream.set_point is None:
             self._stream.begin(measured)
@@ -336,8 +343,11 @@ class FrankaDriver:
         if stop.happened():
             self._command = _Retreat()
             raise ArmStoppedError(f"the command was broken off: the arm was stopped by {stop.by}")
-        if command.failure is not None:
-            raise command.failure
+        if command.why_broken_off:
+            why = f"the command was broken off: {command.why_broken_off}"
+            if command.for_person:
+                raise ArmStoppedError(why)
+            raise ArmFailedError(why)
         if self._clock() > self._ticked_at + _LATEST_TICK:
             self._command = _Command()
             raise ArmFailedError(
@@ -348,20 +358,13 @@ class FrankaDriver:
     def _pause(self, seconds: float) -> None:
         self._changed.wait(max(seconds, 1e-3))
 
-    def _fail(self, failure: CommandError) -> None:
+    def _break_off(self, why: str, for_person: bool = False) -> None:
         """End the command under way, if there is any, with what its giver is told."""
-        self._command.failure = self._command.failure or failure
-        if not isinstance(self._command, _Retreat):
+        command = self._command
+        if not command.why_broken_off:
+            command.why_broken_off, command.for_person = why, for_person
+        if not isinstance(command, _Retreat):
             self._command = _Command()
-
-    def _broken_off(self) -> CommandError:
-        why = f"the command was broken off: {self._readiness.why_not_ready}"
-        return ArmStoppedError(why) if self._readiness.condition in _FOR_PERSONS else ArmFailedError(why)
-
-    def _note_jump(self, jump: str) -> None:
-        if jump:
-            self._jump = jump
-            self.jumps += 1
 
     def _measured(self) -> CameraPose:
         if self._track.pose is None:

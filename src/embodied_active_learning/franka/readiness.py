@@ -202,7 +202,7 @@ class Readiness:
         )
 
     def _why_in_reflex(self) -> str:
-        refused = f"; the last recovery failed: {self._refusal}" if self._refusal else ""
+        refused = f"; last time: {self._refusal}" if self._refusal else ""
         return (
             f"the robot is in a reflex ({self.errors_in_words}) and recovers by itself soon, for the "
             f"{self._in_a_row + 1}. time in a row{refused}"
@@ -307,7 +307,7 @@ class Readiness:
         if not self._was_ready:
             self._held_for = f"the robot was in a reflex ({self.errors_in_words}) before it was moved"
         elif self._in_a_row >= self._config.recoveries:
-            refused = f", and the robot refused the last one: {self._refusal}" if self._refusal else ""
+            refused = f"; last time: {self._refusal}" if self._refusal else ""
             self._held_for = (
                 f"the robot is in a reflex ({self.errors_in_words}) again after {self._in_a_row} recoveries in a row "
                 f"(franka/recoveries){refused}"

@@ -6,6 +6,7 @@ import math
 from typing import Optional, Sequence, Tuple
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.franka.mount import CameraPose
 
 _FILTER = 0.05
@@ -47,22 +48,26 @@ class StateTrack:
         """Whether a state of this stamp, s, says more than those before; states may be sent again."""
         return self._pose is None or stamp != self._stamp
 
-    def add(self, stamp: float, pose: CameraPose) -> str:
-        """Take in a pose with its stamp, s -> what is wrong with it as a motion from the last one; mostly nothing."""
+    def add(self, stamp: float, pose: CameraPose) -> None:
+        """Take in a pose with its stamp, s.
+
+        Raises ObservationError when the arm cannot have moved there; it is taken for where the arm is all the same.
+        """
         last, elapsed = self._pose, stamp - self._stamp
         near = self._middle if last is None else last.planar[2]
         x, y, theta = pose.planar
         pose = pose._replace(planar=(x, y, near + math.remainder(theta - near, 2.0 * math.pi)))
         if last is not None and elapsed == 0.0:
-            return ""
-        trouble = "" if last is None else self._jump(last, pose, elapsed)
+            return
         self._pose, self._stamp = pose, stamp
-        if last is None or trouble or not 0.0 < stamp - self._base[0] <= self._longest:
-            self._velocity = (0.0, 0.0, 0.0)
-            self._base = stamp, pose.planar
-        else:
+        velocity, self._velocity = self._velocity, (0.0, 0.0, 0.0)
+        base, self._base = self._base, (stamp, pose.planar)
+        if last is None:
+            return
+        self._refuse_jump(last, pose, elapsed)
+        if 0.0 < stamp - base[0] <= self._longest:
+            self._velocity, self._base = velocity, base
             self._difference(stamp, pose)
-        return trouble
 
     def _difference(self, stamp: float, pose: CameraPose) -> None:
         since, base = self._base
@@ -77,18 +82,19 @@ class StateTrack:
         self._velocity = x, y, omega
         self._base = stamp, pose.planar
 
-    def _jump(self, last: CameraPose, pose: CameraPose, elapsed: float) -> str:
+    def _refuse_jump(self, last: CameraPose, pose: CameraPose, elapsed: float) -> None:
         if elapsed < 0.0:
-            return f"the stamps of the robot's states went back by {-elapsed:.3f} s: see to the clock of its computer"
+            raise ObservationError(
+                f"the stamps of the robot's states went back by {-elapsed:.3f} s: see to the clock of its computer"
+            )
         change = [now - before for now, before in zip((*pose.planar[:2], pose.height), (*last.planar[:2], last.height))]
         distance = math.hypot(math.hypot(change[0], change[1]), change[2])
         turns = (pose.planar[2] - last.planar[2], pose.tilt[0] - last.tilt[0], pose.tilt[1] - last.tilt[1])
         turn = max(map(abs, turns))
         may_go = _JUMP_SLACK + _JUMP_FACTOR * elapsed * math.sqrt(2.0) * self._top_speed
         may_turn = _JUMP_TURN_SLACK + _JUMP_FACTOR * elapsed * self._top_turn_rate
-        if distance <= may_go and turn <= may_turn:
-            return ""
-        return (
-            f"the robot's pose jumped by {distance:.3f} m and {turn:.2f} rad in {elapsed:.3f} s, faster than it is "
-            "moved (arm/max_speed, arm/max_turn_rate): somebody pushes it, or has changed its end effector frame"
-        )
+        if distance > may_go or turn > may_turn:
+            raise ObservationError(
+                f"the robot's pose jumped by {distance:.3f} m and {turn:.2f} rad in {elapsed:.3f} s, faster than it is "
+                "moved (arm/max_speed, arm/max_turn_rate): somebody pushes it, or has changed its end effector frame"
+            )

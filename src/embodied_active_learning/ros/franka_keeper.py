@@ -172,6 +172,6 @@ class FrankaKeeper:
             time.sleep(PERIOD)
             if not self._driver.why_not_ready():
                 continue
-            with awaiting(lambda: f"the robot: {self._driver.why_not_ready()}", first_after=1.0):
+            with awaiting(lambda: f"the robot: {self._driver.why_not_ready() or 'ready now'}", first_after=1.0):
                 while self._driver.why_not_ready() and not rospy.is_shutdown():
                     time.sleep(PERIOD)
