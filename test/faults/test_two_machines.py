@@ -11,7 +11,7 @@ from real_time import stand_in, truth, with_franka_messages
 from two_hosts import ROBOT, SERVER, two_hosts, why_not
 
 REASON = why_not()
-STEPS = 60
+STEPS = 40
 PROFILE = ROOT / "test" / "rostest" / "real_time.yaml"
 
 

@@ -136,7 +136,7 @@ def check_left_over(parameters: Mapping[str, object]) -> List[Finding]:
     mends = {
         "failure": "launch again: a launch begins with it empty",
         "stopped_by": "rosservice call /arm/recover, once it is clear why",
-        "paused_for": "rosservice call /planner/resume",
+        "paused_by": "rosservice call /planner/resume",
         "has_paused_planner": "start the fingerprinter again, which resumes it; or rosservice call /planner/resume",
     }
     return [

@@ -102,6 +102,15 @@ def pause(seconds: float) -> None:
     wait_until(lambda: time.monotonic() >= ends_at, lambda: f"the next try, every {seconds:g} s")
 
 
+def publish(publisher: rospy.Publisher, message: Any) -> None:
+    """Publish from a callback, which may still be called while the node ends and has closed its topics."""
+    try:
+        publisher.publish(message)
+    except rospy.ROSException:
+        if not rospy.is_shutdown():
+            raise
+
+
 def try_to_draw(draw: Callable[..., Any], *arguments: Any) -> Any:
     """What a drawing function returns; None, and a warning, when it fails: the results it shows are stored already."""
     try:

@@ -43,7 +43,7 @@ LEFT_OVER = (
     names.FAILURE_PARAMETER,
     "pybullet_arm/stopped_by",
     "franka_arm/stopped_by",
-    "ergodic_planner/paused_for",
+    "ergodic_planner/paused_by",
     "fingerprinter/has_paused_planner",
 )
 """Parameters that launch files begin with empty."""
