@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import Config, load_profile
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.franka.mount import CameraPose
 from embodied_active_learning.franka.set_points import LONGEST_PERIOD, SetPointStream
+from launching import ROOT
 
 CONFIG = Config.from_dict({"arm": {"robot": "franka"}})
 BOX = CONFIG.workspace.box()
@@ -123,6 +124,18 @@ def test_an_arm_that_is_held_makes_the_set_point_wait_within_its_lead():
     assert step.cut
     np.testing.assert_allclose(planar(stream) - place, [LEADS[0], 0.0, LEADS[2]], atol=1e-6)
     np.testing.assert_allclose(stream.velocity, 0.0, atol=1e-6)
+
+
+def test_the_leads_of_the_robots_profile_allow_its_highest_speeds_at_the_lag_of_its_stiffness():
+    config = Config.from_dict(load_profile(ROOT / "config" / "franka.yaml"))
+    franka, arm = config.franka, config.arm
+    for speed, acceleration, stiffness, lead in (
+        (arm.max_speed, arm.max_acceleration, franka.stiffness, franka.max_lead),
+        (arm.max_turn_rate, arm.max_turn_acceleration, franka.turn_stiffness, franka.max_turn_lead),
+    ):
+        age = 1.0 / 30.0  # of a state that is about to be replaced
+        lag = 0.2 + 2.0 / math.sqrt(stiffness) + age
+        assert lag * speed + speed**2 / (1.8 * acceleration) <= lead
 
 
 def test_a_tick_that_comes_late_counts_as_a_short_one():
