@@ -276,7 +276,9 @@ def test_a_stop_breaks_the_command_off_at_once_and_the_arm_comes_to_rest():
     lab.passes(0.02)
     with pytest.raises(ArmStoppedError, match="stopped by /operator"):
         lab.ends(outcome)
-    before = np.array(lab.pose.planar)
+    before, speed = np.array(lab.pose.planar), lab.velocity[0]
+    lab.passes(0.03)
+    assert lab.velocity[0] < speed - 0.02, "it brakes before the stop itself has its turn"
     reached = lab.carries_out(lab.driver.stop)
     assert np.all(np.abs(reached.velocity) <= AT_REST)
     assert np.hypot(*(lab.pose.planar - before)[:2]) < 0.03
