@@ -29,7 +29,7 @@ _CAUGHT = "\0"
 
 _LOG_CALLS = re.compile(r"rospy\.(logwarn|logerr|logfatal)|_?LOG\.(warning|error|critical)")
 _LEVELS = ("WARN", "ERROR")
-_NOT_TOLD = ("ValueError", "OSError", "MemoryError", "RuntimeError", "ShutdownRequestedError")
+_NOT_TOLD = ("ValueError", "EOFError", "OSError", "MemoryError", "RuntimeError", "ShutdownRequestedError")
 """Raised and caught inside, or programming errors that nobody foresees."""
 _MAKERS = {
     # function: the message that it makes of its arguments

@@ -21,6 +21,10 @@ class CorruptFileError(SessionError):
     """A stored file is damaged, or was not written by this package."""
 
 
+class BagError(EmbodiedActiveLearningError):
+    """A recorded bag is damaged, holds nothing of what is looked for, or cannot be written."""
+
+
 class ObservationError(EmbodiedActiveLearningError, ValueError):
     """An image or a state is not what the model was built for, and was not stored."""
 
