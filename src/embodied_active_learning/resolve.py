@@ -7,7 +7,7 @@ import re
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, Sequence
+from typing import Any, Dict, Mapping, Optional, Sequence
 
 from embodied_active_learning.config import (
     REAL,
@@ -30,25 +30,25 @@ BRINGUPS = ("all", "nodes", "none")
 """What of the arm a launch file starts: everything, all but a real arm's drivers, or nothing."""
 
 
-def resolve(profile: str, overrides: Sequence[str], robot_profile: str = "") -> Config:
+def resolve(
+    profile: str, overrides: Sequence[str], robot_profile: str = "", recorded: Optional[Mapping[str, Any]] = None
+) -> Config:
     """The configuration of one run: a profile (name in config/, or path) with SECTION/KEY=VALUE overrides.
 
     No profile is the paper's, or for a session that is resumed the configuration that it was made with. A real robot
     has a profile of its own, by name or path, whose limits win over those of the run's profile; none is its name in
-    config/. An override without a value changes nothing. The world's path and the session's name are filled in.
+    config/. An override without a value changes nothing. recorded: sections of keys that recorded images were made
+    with; a new session of them begins with these. The world's path and the session's name are filled in.
     Raises ConfigError, WorldError or SessionError, for whatever would keep the run from starting.
     """
-    changes: Dict[str, Dict[str, Any]] = {}
-    for override in overrides:
-        changes = merge(changes, _parse_override(override))
-    config = Config.from_dict(merge(_base(profile, robot_profile, changes), changes))
+    config = combine(profile, overrides, robot_profile, recorded)
     if config.arm.robot == SIMULATED:
         if robot_profile:
             raise ConfigError(
                 f"the robot profile {shown(robot_profile)} is for a real robot: set arm/robot, or leave it out"
             )
         config = _with_world(config)
-    elif "world" in changes.get("simulation", {}):
+    elif "world" in _changes(overrides).get("simulation", {}):
         raise ConfigError(
             f"simulation/world is given, but arm/robot is {config.arm.robot}: only a simulated table can be chosen"
         )
@@ -57,6 +57,21 @@ def resolve(profile: str, overrides: Sequence[str], robot_profile: str = "") -> 
     config = replace(config, session=replace(config.session, name=name, root=root))
     check_session(config)
     return config
+
+
+def combine(
+    profile: str, overrides: Sequence[str], robot_profile: str = "", recorded: Optional[Mapping[str, Any]] = None
+) -> Config:
+    """What resolve begins with: the settings, without a look at session and world. Raises ConfigError."""
+    changes = _changes(overrides)
+    return Config.from_dict(merge(_base(profile, robot_profile, changes, dict(recorded or {})), changes))
+
+
+def _changes(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
+    changes: Dict[str, Dict[str, Any]] = {}
+    for override in overrides:
+        changes = merge(changes, _parse_override(override))
+    return changes
 
 
 def check_bringup(config: Config, bringup: str, robot_ip: str) -> None:
@@ -79,11 +94,12 @@ def _with_world(config: Config) -> Config:
     return replace(config, simulation=replace(config.simulation, world=world))
 
 
-def _base(profile: str, robot_profile: str, changes: Dict[str, Dict[str, Any]]) -> Dict[str, Any]:
-    """What the overrides apply to."""
+def _base(
+    profile: str, robot_profile: str, changes: Dict[str, Dict[str, Any]], stored: Dict[str, Any]
+) -> Dict[str, Any]:
+    """What the overrides apply to. stored: settings of before, unless there is a session to be resumed."""
     folder = package_folder(PACKAGE) / "config"
     given = Config.from_dict({section: changes.get(section, {}) for section in ("session", "arm")})
-    stored: Dict[str, Any] = {}
     if given.session.resume:
         path = session_path(given)
         if path.is_dir():

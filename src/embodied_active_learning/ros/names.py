@@ -50,6 +50,9 @@ BELIEFS = "beliefs"
 BELIEF_GRIDS = "belief_grids"
 DECISION_MARKERS = "decision_markers"
 
+# In recorded bags only: the configuration of the run as YAML.
+RUN_CONFIG = "run_config"
+
 TRAVELLED_PATH = "travelled_path"
 PLANNED_PATH = "planned_path"
 TARGET_CLOUD = "target_cloud"
