@@ -8,7 +8,9 @@ import time
 from contextlib import ExitStack
 
 import pytest
+import rosbag
 
+from embodied_active_learning.ros.recordings import Recording
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
 
@@ -37,7 +39,7 @@ def wait_for(condition, process, timeout=120):
 def first(tmp_path_factory):
     """A short run, for the tests that only look at what it left behind."""
     home = tmp_path_factory.mktemp("first")
-    output = launch_to_the_end(home, *arguments(home))
+    output = launch_to_the_end(home, *arguments(home, record="true"))
     return home / "run", output
 
 
@@ -46,6 +48,28 @@ def test_a_run_ends_by_itself_with_figures_and_a_summary(first):
     assert finished(path), output
     assert "active units" in output
     assert str(path / "figures" / "learning_metrics.png") in output
+
+
+def recorded(path):
+    """The recording of a session, which must have been closed, and hold the observations that were stored."""
+    recording, session = Recording(path / "bags"), Session.open_read_only(path)
+    assert recording.unclosed == []
+    found = list(recording.observations(session.config))
+    with session.open_observations() as store:
+        assert [item.image.data for item in found] == [image.tobytes() for image in store.images]
+        assert [(item.state.x, item.state.y, item.state.theta) for item in found] == list(map(tuple, store.raw_states))
+        assert [item.header.stamp.to_sec() for item in found] == store.stamps.tolist()
+    return recording
+
+
+def test_what_was_recorded_of_a_run_is_what_it_has_learned_from(first):
+    path, _ = first
+    recording, config = recorded(path), Session.open_read_only(path).config
+    assert recording.settings()["training"] == config.to_dict()["training"]
+    with rosbag.Bag(str(next((path / "bags").glob("*.bag")))) as bag:
+        topics = set(bag.get_type_and_topic_info().topics)
+    assert topics >= {"/camera/image_raw", "/camera/camera_info", "/arm/state", "/joint_states", "/tf", "/tf_static"}
+    assert topics >= {"/target_distribution", "/training_status", "/diagnostics"}
 
 
 def test_a_finished_session_is_not_overwritten(first, tmp_path):
@@ -95,9 +119,10 @@ def test_two_systems_run_in_namespaces_under_one_master(tmp_path):
             for name, home in homes.items():
                 home.mkdir()
                 inside = {**variables, "ROS_HOME": str(home), "ROS_NAMESPACE": name}
-                launch = launched(home, "--wait", *arguments(home, steps=20), variables=inside)
+                launch = launched(home, "--wait", *arguments(home, steps=20, record="true"), variables=inside)
                 processes.append(both.enter_context(launch))
             for process in processes:
                 process.wait(180)
     for home in homes.values():
         assert finished(home / "run"), (home / "launch.log").read_text()
+        recorded(home / "run")

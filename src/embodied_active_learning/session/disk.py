@@ -10,6 +10,7 @@ from pathlib import Path
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.session.names import BAGS_FOLDER
 from embodied_active_learning.session.records import RecordLayout
 
 SPARE_BYTES = 200_000_000
@@ -46,9 +47,11 @@ def free_bytes(path: Path) -> int:
 
 
 def bytes_below(folder: Path) -> int:
-    """Bytes in the files below a folder, as far as they are still there when looked at; links count nothing."""
+    """Bytes in the files of a session, as far as they are still there when looked at; links and bags count nothing."""
     total = 0
-    for parent, _, names in os.walk(folder):
+    for parent, folders, names in os.walk(folder):
+        if parent == str(folder) and BAGS_FOLDER in folders:
+            folders.remove(BAGS_FOLDER)
         for name in names:
             with suppress(FileNotFoundError):
                 status = os.lstat(os.path.join(parent, name))

@@ -17,6 +17,7 @@ _SHOWN = 80
 CONFIG_FILE = "config.yaml"
 LOCK_FILE = ".lock"
 SUMMARY_FILE = "summary.yaml"
+BAGS_FOLDER = "bags"
 
 
 def check_name(name: str, subject: str = "session/name") -> str:
@@ -61,13 +62,16 @@ class SessionPaths:
         self.fingerprints = self.path / "fingerprints"
         self.identification = self.path / "identification"
         self.figures = self.path / "figures"
+        self.bags = self.path / BAGS_FOLDER
         self.summary = self.path / SUMMARY_FILE
         self.config = self.path / CONFIG_FILE
         self.lock = self.path / LOCK_FILE
 
     def check_links(self) -> None:
         """Raise SessionError when a folder of the session is a link that leads out of it; files are never links."""
-        for part in (self.observations, self.checkpoints, self.fingerprints, self.identification, self.figures):
+        for part in (
+            self.observations, self.checkpoints, self.fingerprints, self.identification, self.figures, self.bags,
+        ):  # fmt: skip
             stays_inside(self.path, part)
 
     def table(self, name: str) -> Path:
