@@ -1,29 +1,36 @@
-"""Fingerprinting one session, without robot or ROS: find the learned objects, plan their views, store what was seen."""
+"""Fingerprinting one session, without robot or ROS: find the learned objects, plan or choose views, store them."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import List, Optional, Sequence
+from typing import List, Optional, Sequence, Union
 
 from embodied_active_learning.config import FingerprintConfig
 from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.objects.clusters import find_objects
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.stored_views import StoredViews
 from embodied_active_learning.session.fingerprints import save_fingerprints
 from embodied_active_learning.session.learned import load_trained
 from embodied_active_learning.session.session import Session
 
 
 class FingerprintRun:
-    """Finds the learned objects when it is made. Then fill `collections`, each begun at its start, and finish()."""
+    """Finds the learned objects when it is made. Then fill `collections`, each begun at its start, and finish().
 
-    def __init__(self, session_path: Path, settings: Optional[FingerprintConfig] = None) -> None:
+    Where views are taken from what is stored, collections are filled already, as far as that goes.
+    """
+
+    def __init__(
+        self, session_path: Path, settings: Optional[FingerprintConfig] = None, from_stored: bool = False
+    ) -> None:
         """Read the newest model of a session, also while it learns, and cluster its conditional entropy.
 
-        settings: how, if not as the session's own configuration has it.
+        settings: how, if not as the session's own configuration has it. from_stored: views are stored observations,
+        not new ones.
         Raises SessionError when the session does not exist or has not learned anything, CorruptFileError for damage.
         """
         self._path = Path(session_path)
@@ -41,8 +48,12 @@ class FingerprintRun:
         self._observations = len(seen.stamps)
         seed = self._config.exploration.seed
         self.clustering = find_objects(trained.model, seen.raw_states, seen.images, self._config, seed)
-        self.collections: List[ViewCollection] = [
-            ViewCollection(self._config, cluster.centre, seed) for cluster in self.clustering.clusters
+        self._from_stored = from_stored
+        self.collections: Sequence[Union[ViewCollection, StoredViews]] = [
+            StoredViews(self._config, cluster.centre, seed, seen.raw_states, seen.images)
+            if from_stored
+            else ViewCollection(self._config, cluster.centre, seed)
+            for cluster in self.clustering.clusters
         ]
 
     @property
@@ -82,6 +93,12 @@ class FingerprintRun:
     def require_complete(self, name: str) -> None:
         """Raise ObservationError unless the fingerprint of that name has all its views."""
         collection = self.collections[self.names.index(name)]
+        if not collection.complete and self._from_stored:
+            raise ObservationError(
+                f"{name}: only {len(collection.states)} of fingerprint/views ({self._config.fingerprint.views}) "
+                f"different views are stored within fingerprint/view_box ({self._config.fingerprint.view_box:g} m) of "
+                "it, and nothing was stored: take them with an arm, or ask for fewer views"
+            )
         if not collection.complete:
             raise ObservationError(
                 f"{name}: only {len(collection.states)} of fingerprint/views ({self._config.fingerprint.views}) "

@@ -15,6 +15,7 @@ class Stream(IntEnum):
     EXPLORER = 102
     EVALUATION = 103
     CLUSTERING = 104
+    STORED_VIEWS = 105
 
 
 def continued_seed(seed: int, visited: int) -> int:

@@ -7,12 +7,13 @@ from typing import List
 
 import numpy as np
 
-from embodied_active_learning.config import Config, WorkspaceConfig
+from embodied_active_learning.config import Config, FingerprintConfig, WorkspaceConfig
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.ergodic import ErgodicController
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.exploration.target import normalise
 from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.workspace import Workspace
 
 _KERNEL_VARIANCE = 0.02
 """Of the coverage kernel, in units of the view box. The wider it is, the closer the views stay to the centre; the
@@ -81,19 +82,32 @@ class ViewCollection:
         self._controller.reset()
 
     def _is_new(self, state: np.ndarray) -> bool:
-        if not self._states:
-            return True
-        distance, turn = pose_distance(self.states, state)
-        near = (distance < self._settings.min_view_distance) & (turn < self._settings.min_view_turn)
-        return not near.any()
+        return is_new(state, self.states, self._settings)
 
     def _normal(self, centre: np.ndarray) -> np.ndarray:
-        """The target distribution (S,): normal in x and y around the centre, nearly even in yaw."""
-        settings = self._settings
-        mean = np.array([centre[0], centre[1], self._workspace.centre[2]])
-        std = np.array([settings.view_std, settings.view_std, settings.view_yaw_std])
-        away = (self._workspace.denormalise(self._samples.states) - mean) / std
-        return normalise(np.exp(-0.5 * np.square(away).sum(axis=1)))
+        """The target distribution (S,) over the samples."""
+        states = self._workspace.denormalise(self._samples.states)
+        return normalise(np.exp(log_density(states, centre, self._workspace, self._settings)))
+
+
+def log_density(
+    states: np.ndarray, centre: np.ndarray, workspace: Workspace, settings: FingerprintConfig
+) -> np.ndarray:
+    """How much views from states (S, 3) are wanted of an object at a centre (3,): a logarithm (S,), but for a constant.
+
+    Normal in x and y around the centre, nearly even in yaw.
+    """
+    mean = np.array([centre[0], centre[1], workspace.centre[2]])
+    std = np.array([settings.view_std, settings.view_std, settings.view_yaw_std])
+    return -0.5 * np.square((states - mean) / std).sum(axis=1)
+
+
+def is_new(state: np.ndarray, kept: np.ndarray, settings: FingerprintConfig) -> bool:
+    """Whether a view from a state (3,) is no duplicate of one that was kept (V, 3)."""
+    if not len(kept):
+        return True
+    distance, turn = pose_distance(kept, state)
+    return not np.any((distance < settings.min_view_distance) & (turn < settings.min_view_turn))
 
 
 def _around(config: Config, centre: np.ndarray, seed: int) -> Config:
