@@ -29,14 +29,15 @@ class ExplorationOutputs:
         self._table = Table(SessionPaths(session).table(TABLE), COLUMNS[TABLE])
         self._table.truncate_after("step", steps_done)
         rows = read_table(self._table.path, self._table.columns)
-        self._last_step = int(rows["step"][-1]) if len(rows["step"]) else 0
+        self.last_step = int(rows["step"][-1]) if len(rows["step"]) else 0
+        """The newest step that has a row."""
         self.effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
 
     def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment) -> None:
         """Tell of the step that ended in a state; it gets a row unless it has one from before a resume."""
-        if assessment.step > self._last_step:
+        if assessment.step > self.last_step:
             self._table.append(_row(state, assessment))
-            self._last_step = assessment.step
+            self.last_step = assessment.step
         self._publisher.publish(_message(state, run, assessment))
         self._displays.show(state.header.stamp, run, assessment, last=assessment.step == self._steps)
 
