@@ -11,6 +11,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, ConfigError, ObservationError
 from embodied_active_learning.ros.bag_writer import BagWriter
 from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
+from embodied_active_learning.ros.recorded_pairs import is_due
 from embodied_active_learning.ros.recordings import Recording, settings_text
 from embodied_active_learning.ros.replaying import resolve_replay
 
@@ -139,6 +140,14 @@ def test_images_and_states_make_one_observation_a_step_with_the_pose_at_the_imag
     np.testing.assert_allclose(states[:, 0], 0.4 + 0.05 * (stamps - 100.0), atol=1e-6)
     assert all((item.image.width, item.image.height) == (8, 8) for item in found)
     assert all(item.image.header.stamp == item.state.header.stamp for item in found)
+
+
+@pytest.mark.parametrize(
+    ("now", "last", "due"),
+    [(1.0, None, True), (1.1, 1.0, True), (1.09, 1.0, False), (1.0, 1.0, False), (0.5, 1.0, True)],
+)
+def test_an_image_is_taken_when_a_period_has_passed_or_time_has_gone_back(now, last, due):
+    assert is_due(rospy.Time(now), None if last is None else rospy.Time(last), 0.1) == due
 
 
 def test_images_while_the_arm_stands_still_or_is_elsewhere_are_no_observations(tmp_path):

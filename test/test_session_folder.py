@@ -344,3 +344,11 @@ def test_summary_whose_finished_is_no_truth_value_is_refused(tmp_path):
     write_summary(path, replace(Summary(True, 1, 1, 1.0), finished="yes"))
     with pytest.raises(CorruptFileError, match="finished is 'yes'"):
         read_summary(path)
+
+
+def test_recordings_do_not_pass_for_observations_that_are_stored_already(tmp_path):
+    (tmp_path / "observations").mkdir()
+    (tmp_path / "observations" / "observations.bin").write_bytes(bytes(300))
+    (tmp_path / "bags").mkdir()
+    (tmp_path / "bags" / "a.bag").write_bytes(bytes(5000))
+    assert disk.bytes_below(tmp_path) == 300

@@ -17,7 +17,7 @@ from embodied_active_learning.ros.image_track import STILL_DISTANCE, STILL_TURN,
 from embodied_active_learning.ros.pose_track import KEPT, PoseTrack, moved
 
 EARLIER = 0.001
-"""Seconds that a step may be shorter than configured: stamps are not exact."""
+"""Seconds that a period may be shorter than asked for: stamps are not exact."""
 OUTSIDE = 0.05
 """How far outside of the workspace, in half workspaces, images still count: the rest is no exploration."""
 
@@ -33,7 +33,7 @@ class RecordedPairs:
     """
 
     def __init__(self, config: Config) -> None:
-        self._step = config.exploration.step_duration - EARLIER
+        self._step = config.exploration.step_duration
         self._camera = config.camera
         self._workspace = config.workspace.box()
         self._poses = PoseTrack(config)
@@ -65,7 +65,8 @@ class RecordedPairs:
                 yield pair
 
     def _pair(self, image: Image) -> Optional[Pair]:
-        if not self._is_due(image.header.stamp):
+        last = None if self._last is None else self._last.header.stamp
+        if not is_due(image.header.stamp, last, self._step):
             return None
         try:
             state = self._poses.at(image.header.stamp)
@@ -80,15 +81,16 @@ class RecordedPairs:
         self._last = state
         return image, state
 
-    def _is_due(self, stamp: rospy.Time) -> bool:
-        """Whether a step has passed since the last pair, or time has gone back."""
-        elapsed = None if self._last is None else (stamp - self._last.header.stamp).to_sec()
-        return elapsed is None or elapsed < 0.0 or elapsed >= self._step
-
     def _is_wanted(self, state: PlanarState) -> bool:
         """Whether the arm is in the workspace, and has moved since the last pair."""
         inside = self._workspace.contains(state_arrays(state)[0], OUTSIDE)
         return bool(inside) and (self._last is None or moved(self._last, state, STILL_DISTANCE, STILL_TURN))
+
+
+def is_due(stamp: rospy.Time, last: Optional[rospy.Time], period: float) -> bool:
+    """Whether a period [s] has passed since the last one, there was none, or time has gone back."""
+    elapsed = None if last is None else (stamp - last).to_sec()
+    return elapsed is None or elapsed < 0.0 or elapsed >= period - EARLIER
 
 
 def model_image(picture: Image, camera: CameraConfig) -> Image:
