@@ -194,8 +194,6 @@ def test_a_replay_beside_a_running_system_leaves_its_configuration_alone(identif
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
-        ({"sessions": "tinny"}, "tinny"),
-        ({"sessions": "../tiny"}, "give 1 to 64 of a-z"),
         ({"sessions": "seen"}, "has no fingerprints yet"),
         ({"replay": "seen", "images": 5000}, f"holds {IMAGES} images only, 5000 were asked for"),
     ],
