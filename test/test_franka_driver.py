@@ -294,6 +294,20 @@ def test_a_stop_of_a_silent_robot_does_not_claim_that_it_stands_still():
         lab.driver.stop()
 
 
+def test_after_a_stop_of_a_silent_robot_the_set_point_does_not_go_on_after_the_arm():
+    lab = Lab()
+    lab.sends_states = False
+    lab.passes(0.3)
+    with pytest.raises(ArmFailedError):
+        lab.driver.stop()
+    lab.sends_states, lab.follows = True, False
+    lab.passes(0.1)
+    x, y, theta = lab.pose.planar
+    lab.pose = lab.pose._replace(planar=(x, y + 0.005, theta))
+    lab.passes(0.5)
+    assert lab.sent[-1].planar == pytest.approx((x, y, theta))
+
+
 def test_a_command_of_an_arm_whose_ticks_have_ended_is_given_up():
     lab = Lab()
     outcome = Outcome(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())

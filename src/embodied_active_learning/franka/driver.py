@@ -226,19 +226,11 @@ class FrankaDriver:
         """
         with self._changed:
             command = self._command = _Retreat()
-            ends_at = self._clock() + _STOPPING
-            while not self._is_at_rest():
-                if self._clock() >= ends_at:
+            try:
+                self._wait_for_rest()
+            finally:
+                if self._command is command:  # a set-point that went on after the arm would let it be drawn anywhere
                     self._command = _Command()
-                    raise ArmFailedError(self._why_not_at_rest())
-                if self._readiness.condition in (Condition.AWAITED, Condition.SILENT, Condition.UNUSABLE):
-                    raise ArmFailedError(
-                        "no set-point is sent any more, but whether the arm stands still is not known: "
-                        f"{self._readiness.why_not_ready}"
-                    )
-                self._pause(min(_LOOK, ends_at - self._clock()))
-            if self._command is command:
-                self._command = _Command()
             return self._reached(False)
 
     def wait_until_ready(self, timeout: float) -> bool:
@@ -354,6 +346,18 @@ class FrankaDriver:
                 f"no set-point was sent for {_LATEST_TICK:g} s: the computer is overloaded, see /diagnostics"
             )
         self._pause(min(_LOOK, until - self._clock()))
+
+    def _wait_for_rest(self) -> None:
+        ends_at = self._clock() + _STOPPING
+        while not self._is_at_rest():
+            if self._clock() >= ends_at:
+                raise ArmFailedError(self._why_not_at_rest())
+            if self._readiness.condition in (Condition.AWAITED, Condition.SILENT, Condition.UNUSABLE):
+                raise ArmFailedError(
+                    "no set-point is sent any more, but whether the arm stands still is not known: "
+                    f"{self._readiness.why_not_ready}"
+                )
+            self._pause(min(_LOOK, ends_at - self._clock()))
 
     def _pause(self, seconds: float) -> None:
         self._changed.wait(max(seconds, 1e-3))
