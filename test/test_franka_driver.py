@@ -294,6 +294,18 @@ def test_a_stop_of_a_silent_robot_does_not_claim_that_it_stands_still():
         lab.driver.stop()
 
 
+def test_a_stop_of_an_arm_that_somebody_else_moves_fast_does_not_claim_that_it_stands_still():
+    lab = Lab()
+    lab.follows = False
+    outcome = Outcome(lab.driver.stop)
+    while not outcome.is_there:
+        x, y, theta = lab.pose.planar
+        lab.pose = lab.pose._replace(planar=(x, y + 0.02, theta))
+        lab.passes(PERIOD)
+    with pytest.raises(ArmFailedError, match="its pose jumps from state to state"):
+        outcome.raise_error()
+
+
 def test_after_a_stop_of_a_silent_robot_the_set_point_does_not_go_on_after_the_arm():
     lab = Lab()
     lab.sends_states = False

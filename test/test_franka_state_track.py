@@ -63,6 +63,16 @@ def test_a_silence_leaves_no_velocity_from_before():
     assert track.velocity == (0.0, 0.0, 0.0)
 
 
+def test_a_velocity_tells_rest_only_after_poses_that_followed_each_other_for_a_while():
+    track = moved(0.1, [0.0])
+    assert not track.tells_motion
+    moved(0.1, np.arange(1, 5) * PERIOD, track)
+    assert track.tells_motion
+    with pytest.raises(ObservationError):
+        track.add(5 * PERIOD, at(0.6))
+    assert not track.tells_motion
+
+
 def test_a_pose_that_jumps_is_told_and_begins_the_track_anew():
     track = moved(0.1, np.arange(10) * PERIOD)
     with pytest.raises(ObservationError, match=r"jumped by 0\.170 m"):

@@ -268,7 +268,7 @@ class FrankaDriver:
         fresh = self._look().condition not in (Condition.AWAITED, Condition.SILENT, Condition.UNUSABLE)
         still = all(abs(speed) <= limit for speed, limit in zip(self._track.velocity, AT_REST))
         slow = all(abs(speed) <= limit for speed, limit in zip(self._stream.velocity, AT_REST))
-        return fresh and still and slow
+        return fresh and self._track.tells_motion and still and slow
 
     def _set_point(self, period: float) -> Optional[CameraPose]:
         measured = self._track.pose
@@ -399,6 +399,11 @@ class FrankaDriver:
         )
 
     def _why_not_at_rest(self) -> str:
+        if not self._track.tells_motion:
+            return (
+                f"it cannot be told that the arm came to rest within {_STOPPING:g} s: its pose jumps from state to "
+                "state; press the user stop"
+            )
         return (
             f"the arm did not come to rest within {_STOPPING:g} s: it moves at "
             f"{[round(speed, 3) for speed in self._track.velocity]} (m/s, m/s, rad/s); press the user stop"

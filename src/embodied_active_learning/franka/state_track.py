@@ -13,6 +13,8 @@ _FILTER = 0.05
 """Time constant of the low-pass on differenced poses, s: a few states of 100 Hz, one or two of 30 Hz."""
 _SHORTEST = 0.004
 """Poses closer in time than this, s, are not differenced: a stamp's jitter would become velocity."""
+_TOLD = 2.0 * _FILTER
+"""s of unbroken poses after which their velocity tells motion from rest."""
 _JUMP_FACTOR, _JUMP_SLACK, _JUMP_TURN_SLACK = 2.0, 0.01, 0.1  # -, m, rad
 """A change larger than the slack, and than so many times what the top speeds allow, is no motion but a jump."""
 
@@ -33,6 +35,7 @@ class StateTrack:
         self._stamp = 0.0
         self._base: Tuple[float, Sequence[float]] = (0.0, ())  # stamp and pose that the next is differenced from
         self._velocity = (0.0, 0.0, 0.0)
+        self._unbroken_since = 0.0  # stamp
 
     @property
     def pose(self) -> Optional[CameraPose]:
@@ -43,6 +46,11 @@ class StateTrack:
     def velocity(self) -> Tuple[float, float, float]:
         """m/s, m/s, rad/s in the base frame."""
         return self._velocity
+
+    @property
+    def tells_motion(self) -> bool:
+        """Whether poses have followed each other for long enough that a velocity of zero means rest."""
+        return self._pose is not None and self._stamp >= self._unbroken_since + _TOLD
 
     def is_new(self, stamp: float) -> bool:
         """Whether a state of this stamp, s, says more than those before; states may be sent again."""
@@ -62,11 +70,12 @@ class StateTrack:
         self._pose, self._stamp = pose, stamp
         velocity, self._velocity = self._velocity, (0.0, 0.0, 0.0)
         base, self._base = self._base, (stamp, pose.planar)
+        unbroken_since, self._unbroken_since = self._unbroken_since, stamp
         if last is None:
             return
         self._refuse_jump(last, pose, elapsed)
         if 0.0 < stamp - base[0] <= self._longest:
-            self._velocity, self._base = velocity, base
+            self._velocity, self._base, self._unbroken_since = velocity, base, unbroken_since
             self._difference(stamp, pose)
 
     def _difference(self, stamp: float, pose: CameraPose) -> None:
