@@ -1,5 +1,6 @@
 """One commander of the arm at a time."""
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
@@ -130,6 +131,22 @@ def test_a_command_that_waits_for_the_arm_is_not_carried_out_after_a_stop():
     assert (len(moved), len(refused)) == (0, 1)
 
 
+def test_a_stop_that_comes_while_somebody_recovers_the_arm_lasts():
+    commander = Commander(5.0, Clock(), stopped_by="/planner")
+    with pytest.raises(ArmStoppedError, match="stopped by /operator"), commander.recovery(), commander.stop(
+        request("/operator")
+    ):
+        pass
+    assert commander.stopped_by == "/operator"
+
+
+def test_a_recovery_that_fails_leaves_the_arm_stopped():
+    commander = Commander(5.0, Clock(), stopped_by="/operator")
+    with pytest.raises(ZeroDivisionError), commander.recovery():
+        raise ZeroDivisionError
+    assert commander.stopped_by == "/operator"
+
+
 def test_a_stop_lasts_longer_than_the_node_in_front_of_the_arm():
     commander = Commander(5.0, Clock(), stopped_by="/operator")
     with pytest.raises(ArmStoppedError, match="/operator"), commander.command(request("/ergodic_planner")):
@@ -150,6 +167,21 @@ def test_nobody_moves_an_arm_that_has_ended():
 
     in_a_thread(command).join(0.1)
     assert not moved
+
+
+class WonByAll(nullcontext):
+    """A lock that whoever asks for it has first."""
+
+    def acquire(self):
+        return True
+
+
+def test_a_command_that_has_its_turn_before_the_end_that_it_came_after_is_told_of_it():
+    commander = driven(Clock())
+    commander._turn = WonByAll()
+    commander.end()
+    with commander.command(request("/ergodic_planner")) as interruption:
+        assert interruption.happened()
 
 
 def test_a_stop_by_the_last_driver_stops_the_next_one_like_anybody_elses():

@@ -53,6 +53,8 @@ class Commander:
         self._commanded_at: Optional[float] = None
         self._busy = False
         self._stopped_by = stopped_by
+        self._stops = 0  # that last, or have
+        self._ending = ""  # who stops every command that comes now
         self._turn = threading.Lock()  # held by whoever has the arm move
         self._interruption = Interruption()  # of the command under way
 
@@ -120,7 +122,8 @@ class Commander:
     def end(self) -> None:
         """Let nobody move the arm any more, once the command under way is done, or has ended early."""
         with self._lock:
-            self._interruption.happen("its own node, which ends")
+            self._ending = "its own node, which ends"
+            self._interruption.happen(self._ending)
         self._turn.acquire()
 
     @contextmanager
@@ -131,16 +134,31 @@ class Commander:
             lasts = caller != self._holder
             if lasts:
                 self._stopped_by = caller
+                self._stops += 1
             self._interruption.happen(caller)
         with self._turn:
             yield lasts
         with self._lock:
             self._kept = False
 
-    def recover(self) -> None:
-        """Take commands again."""
+    @contextmanager
+    def recovery(self) -> Iterator[None]:
+        """The time that it takes to recover; commands are taken again after it.
+
+        Raises ArmStoppedError where somebody has stopped the arm meanwhile: that stop lasts.
+        """
         with self._lock:
-            self._stopped_by = ""
+            stops = self._stops
+        yield
+        with self._lock:
+            if self._stops == stops:
+                self._stopped_by = ""
+            self._refuse_when_stopped()
+
+    def recover(self) -> None:
+        """Take commands again, at once."""
+        with self.recovery():
+            pass
 
     def _take(self, caller: str) -> Interruption:
         with self._lock:
@@ -154,6 +172,8 @@ class Commander:
                 )
             self._holder, self._busy, self._kept = caller, True, True
             self._interruption = Interruption()
+            if self._ending:
+                self._interruption.happen(self._ending)
             return self._interruption
 
     def _refuse_when_stopped(self) -> None:
