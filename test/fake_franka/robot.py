@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass, field
 from typing import Callable, Dict, List, Sequence, Set, Tuple
@@ -53,6 +54,7 @@ class Behaviour:
     """What may differ from robot to robot, and between versions of franka_ros."""
 
     friction: float = 0.0  # N, along each axis
+    end_of_motion: float = 0.0  # s for which the robot is in mode Move after its controller was stopped
     largest_step: float = 0.1  # m between two set-points; stricter than a robot, which feels only what the hand feels
     largest_turn: float = 0.6  # rad between two set-points
     recovers_after_user_stop: bool = False  # as franka_ros does after 0.10.1, without being asked
@@ -86,6 +88,7 @@ class FakeRobot:
         self._controlled = False  # a running controller moves the arm
         self._impedance = False  # and it is the impedance controller
         self._has_error = False  # franka_control's: the loop does not run until an error recovery has succeeded
+        self._moves_until = -math.inf
         self._user_stop = False
         self._recovering = False
         self._failing_recoveries = 0
@@ -102,7 +105,7 @@ class FakeRobot:
                 return RECOVERY
             if self.errors:
                 return REFLEX
-            return MOVE if self.is_driven else IDLE
+            return MOVE if self.is_driven or self._time < self._moves_until else IDLE
 
     @property
     def is_driven(self) -> bool:
@@ -151,6 +154,8 @@ class FakeRobot:
         """Other controllers are running now."""
         with self.lock:
             self.advance()
+            if self.is_driven and not moves_the_arm:
+                self._moves_until = self._time + self._behaviour.end_of_motion
             self._controlled, self._impedance = moves_the_arm, impedance
             if not self._has_error:
                 self._start_motion()

@@ -115,7 +115,11 @@ class FrankaArmTest(unittest.TestCase):
     def controllers(self, service, *arguments):
         from controller_manager_msgs import srv  # noqa: PLC0415  made by setUpClass
 
-        kind = {"load": srv.LoadController, "switch": srv.SwitchController}[service]
+        kind = {
+            "load": srv.LoadController,
+            "unload": srv.UnloadController,
+            "switch": srv.SwitchController,
+        }[service]
         return rospy.ServiceProxy(f"controller_manager/{service}_controller", kind)(*arguments).ok
 
     def is_recovered(self):
@@ -258,6 +262,14 @@ class FrankaArmTest(unittest.TestCase):
         self.assertTrue(self.controllers("switch", [], [OTHER], 2, False, 0.0), "it was stopped by somebody else")
         until(lambda: "was stopped, not by this node" in self.move(0.0, 0.0, 0.0, 0.1).message)
         self.assertTrue(self.recover().success)
+        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+
+    def test_a_franka_control_that_was_started_anew_is_prepared_when_a_person_says_so(self):
+        self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0))
+        self.assertTrue(self.controllers("unload", OURS))
+        until(lambda: "was stopped, not by this node" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        answer = self.recover()
+        self.assertTrue(answer.success, answer.message)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
     def test_another_node_that_sends_set_points_is_named(self):

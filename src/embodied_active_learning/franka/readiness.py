@@ -121,9 +121,9 @@ class Readiness:
         return self._in_a_row
 
     @property
-    def needs_person(self) -> bool:
-        """Whether nothing goes on before somebody calls /arm/recover."""
-        return bool(self._held_for)
+    def is_in_motion(self) -> bool:
+        """Whether the robot is controlled by somebody, moved or held."""
+        return self._report.mode == RobotMode.MOVE
 
     @property
     def needs_preparation(self) -> bool:

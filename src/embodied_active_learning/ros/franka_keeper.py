@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Callable
 
 import rospy
 
@@ -22,6 +23,7 @@ CONTROLLERS_PERIOD = 1.0
 _READY_TIMEOUT = 5.0  # s after which a robot that was prepared or recovered is to follow
 _PASSING = (Condition.STARTING, Condition.UNHEARD, Condition.RECOVERING)
 _REST_TIMEOUT = 5.0  # s
+_LOOK = 0.02  # s
 
 
 class FrankaKeeper:
@@ -64,10 +66,8 @@ class FrankaKeeper:
             if self._condition() is Condition.REFLEX:
                 self._recover_now()
                 self._settle()
-            if self._condition() is Condition.UNPREPARED:
-                self._prepare_now()
-            elif self._condition() is Condition.STOPPED:
-                self._link.start()
+            if self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
+                self._prepare_now()  # a franka_control that was started anew knows nothing of before
             self._settle()
             if self._condition() is not Condition.READY:
                 raise ArmNotReadyError(self._driver.why_not_ready())
@@ -109,6 +109,7 @@ class FrankaKeeper:
         if ours is not None and ours.drives:
             self._wait_for_rest()
             self._link.stop()
+        self._wait_for_end_of_motion()
         self._link.set_collision_behaviour(self._config)
         if self._config.load_mass > 0.0:
             self._link.set_load(self._config)
@@ -131,15 +132,23 @@ class FrankaKeeper:
 
     def _wait_for_rest(self) -> None:
         """An arm that another node has left in motion, until it stands still. Raises RobotError."""
-        ends_at = time.monotonic() + _REST_TIMEOUT
         with awaiting(lambda: "the arm to come to rest, before its controller is started anew"):
-            while not self._driver.is_at_rest():
-                if time.monotonic() >= ends_at:
-                    raise RobotError(
-                        f"{CONTROLLER} moves the arm, and not for this node: end whatever drives it, then call "
-                        "/arm/recover"
-                    )
-                time.sleep(PERIOD)
+            if not _comes_about(self._driver.is_at_rest):
+                raise RobotError(
+                    f"{CONTROLLER} moves the arm, and not for this node: end whatever drives it, then call /arm/recover"
+                )
+
+    def _wait_for_end_of_motion(self) -> None:
+        """A robot whose controller was stopped, until it takes settings: it is a while in Move. Raises RobotError."""
+        if not _comes_about(lambda: not self._is_in_motion()):
+            raise RobotError(
+                "the robot is still in mode Move, although no controller moves it: look at franka_control, then call "
+                "/arm/recover"
+            )
+
+    def _is_in_motion(self) -> bool:
+        with self._driver.lock:
+            return self._driver.readiness.is_in_motion
 
     def _recover(self) -> None:
         try:
@@ -175,3 +184,13 @@ class FrankaKeeper:
             with awaiting(lambda: f"the robot: {self._driver.why_not_ready() or 'ready now'}", first_after=1.0):
                 while self._driver.why_not_ready() and not rospy.is_shutdown():
                     time.sleep(PERIOD)
+
+
+def _comes_about(condition: Callable[[], bool]) -> bool:
+    """Whether a condition holds before _REST_TIMEOUT has passed."""
+    ends_at = time.monotonic() + _REST_TIMEOUT
+    while not condition():
+        if time.monotonic() >= ends_at:
+            return False
+        time.sleep(_LOOK)
+    return True

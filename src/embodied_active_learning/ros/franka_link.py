@@ -21,6 +21,7 @@ from embodied_active_learning.ros import names
 from embodied_active_learning.ros.services import TRANSPORT_ERRORS, saying_who_is_awaited
 
 _RECOVERY_TIMEOUT = 20.0  # s of wall time
+_CANCEL_TIMEOUT = 1.0  # s of wall time for which a recovery that takes too long is waited for when it was called off
 _SWITCH_TIMEOUT = 5.0  # s that controller_manager may take to switch
 # Interfaces of ros_control by which a controller only looks at the robot.
 _LOOKING = ("JointStateInterface", "FrankaStateInterface", "FrankaModelInterface")
@@ -119,7 +120,9 @@ class FrankaLink:
         if not self._recovery.wait_for_server(rospy.Duration(_SWITCH_TIMEOUT)):
             raise RobotError(f"{rospy.resolve_name(names.FRANKA_RECOVERY)} is not offered: is franka_control running?")
         with saying_who_is_awaited(rospy.resolve_name(names.FRANKA_RECOVERY)):
-            state = self._recovery.send_goal_and_wait(ErrorRecoveryGoal(), rospy.Duration(_RECOVERY_TIMEOUT))
+            state = self._recovery.send_goal_and_wait(
+                ErrorRecoveryGoal(), rospy.Duration(_RECOVERY_TIMEOUT), rospy.Duration(_CANCEL_TIMEOUT)
+            )
         if state == GoalStatus.SUCCEEDED:
             return
         text = self._recovery.get_goal_status_text() or "it did not end in time"
