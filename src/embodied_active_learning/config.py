@@ -346,7 +346,9 @@ class FrankaConfig:
         math.pi,
     )
     rate: float = setting(100.0, "set-points per second that are sent to the impedance controller", "Hz", 20.0, 500.0)
-    max_lead: float = setting(0.05, "farthest that a set-point is ahead of the measured pose", "m", 0.005, 0.1)
+    max_lead: float = setting(
+        0.05, "farthest that a set-point is ahead of the measured pose, along each of x, y and z", "m", 0.005, 0.1
+    )
     max_turn_lead: float = setting(0.3, "farthest that a set-point is turned ahead of it", "rad", 0.02, 0.6)
     max_height_error: float = setting(
         0.03, "farthest that the camera may be above or below its height when motion begins", "m", 0.001, 0.2

@@ -2,7 +2,7 @@
 
 Three kinds of threads meet here: one ticks, one brings the robot's states, and those that give commands wait. Whatever
 goes wrong, nothing is integrated any more and no set-point is sent: the controller then holds the last one, which is
-within franka/max_lead of the arm.
+within franka/max_lead of the arm along each axis.
 """
 
 from __future__ import annotations
