@@ -33,7 +33,7 @@ AT_REST = (0.005, 0.005, 0.03)
 _LATEST_TICK = 0.5  # s without a tick after which a command is given up
 _SETTLING = 4.0  # s that an impedance controller may take to draw the arm to its last set-point
 _LEFT, _TURN_LEFT = 1e-4, 1e-3  # m, rad: a set-point that is no farther from a target is at it
-_STOPPING = 4.0  # s within which an arm that brakes has to come to rest
+_STOPPING = 3.0  # s within which an arm that brakes has to come to rest; less than a node has to end
 _LOOK = 0.05  # s, at most, between two looks of a waiting command
 _FOR_PERSONS = (Condition.USER_STOPPED, Condition.GUIDED, Condition.HELD)
 

@@ -125,7 +125,8 @@ class FrankaLink:
             )
         if state == GoalStatus.SUCCEEDED:
             return
-        text = self._recovery.get_goal_status_text() or "it did not end in time"
+        is_over = state not in (GoalStatus.PENDING, GoalStatus.ACTIVE)
+        text = self._recovery.get_goal_status_text() if is_over else f"it did not end within {_RECOVERY_TIMEOUT:g} s"
         raise RobotError(f"the robot did not recover: {text}")
 
     @staticmethod
