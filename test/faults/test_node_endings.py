@@ -216,6 +216,20 @@ def test_a_node_that_needs_a_clock_says_that_there_is_none(tmp_path):
         assert node.end(signal.SIGINT) == ExitCode.ENDED
 
 
+def test_fingerprints_of_stored_images_wait_for_no_clock(tmp_path):
+    ros = Ros(tmp_path)
+    parameters = {
+        "/use_sim_time": True,  # left by a simulation
+        "/config": {"session": {"root": str(tmp_path), "name": "nothing-there"}},
+        "/fingerprinter/once": True,
+        "/fingerprinter/views_from": "stored",
+    }
+    with ros.master(**parameters), ros.node(ROOT / "nodes" / "fingerprinter") as node:
+        node.wait_until(lambda: "nothing-there" in node.said or "/clock" in node.said)
+        assert "/clock" not in node.said
+        assert node.process.wait(20) == ExitCode.REFUSED
+
+
 @pytest.mark.parametrize(("name", "library"), [("trainer", "libtorch"), ("monitor", "ft2font")])
 def test_a_node_that_is_still_being_imported_ends_without_a_traceback(ros, master, name, library):
     with ros.node(ROOT / "nodes" / name) as node:

@@ -46,7 +46,7 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
         watch = MasterWatch(master)
         count_start()
         if needs_clock:
-            wait_until(_clock_is_there, lambda: "/clock: /use_sim_time is true but nobody publishes it")
+            wait_for_clock()
         body(read_config())
     except EmbodiedActiveLearningError as error:
         if watch is None or not watch.lost:
@@ -62,6 +62,11 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
         if not rospy.is_shutdown():
             raise
     return ExitCode.MASTER_LOST if watch is not None and watch.lost else ExitCode.ENDED
+
+
+def wait_for_clock() -> None:
+    """Where /use_sim_time is set, return once somebody publishes /clock. Raises ShutdownRequestedError."""
+    wait_until(_clock_is_there, lambda: "/clock: /use_sim_time is true but nobody publishes it")
 
 
 def _clock_is_there() -> bool:
