@@ -13,7 +13,8 @@ from embodied_active_learning.ros.bag_writer import BagWriter
 from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
 from embodied_active_learning.ros.recorded_pairs import is_due
 from embodied_active_learning.ros.recordings import Recording, settings_text
-from embodied_active_learning.ros.replaying import resolve_replay
+from embodied_active_learning.ros.replaying import resolve_copy, resolve_replay
+from embodied_active_learning.session.session import Session
 
 CONFIG = Config.from_dict({"camera": {"width": 8, "height": 8}, "training": {"learning_rate": 0.002}})
 STILL = (0.0, 0.0, 0.0)
@@ -87,7 +88,33 @@ def test_a_recording_knows_the_settings_of_its_run_and_a_profile_replaces_them(t
         resolve_replay(recording, "", [*target, "exploration/steps=71"])
 
 
-@pytest.mark.parametrize("text", ["camera: {widht: 8}", "!!python/object/apply:os.getcwd []", "[", "a: 1\n" * 10**5])
+def test_a_replay_that_is_resumed_makes_the_steps_that_it_was_to_make(tmp_path):
+    recording = Recording(record(tmp_path / "a.bag", range(80)))
+    profile = tmp_path / "small.yaml"
+    profile.write_text("camera: {width: 8, height: 8}\nexploration: {steps: 1000}\n")
+    target = [f"session/root={tmp_path}", "session/name=again"]
+    Session.open_for_writing(resolve_replay(recording, str(profile), [*target, "exploration/steps=70"])).close()
+    for given in ("", str(profile)):
+        assert resolve_replay(recording, given, [*target, "session/resume=true"]).exploration.steps == 70
+    more = resolve_replay(recording, "", [*target, "session/resume=true", "exploration/steps=75"])
+    assert more.exploration.steps == 75
+
+
+def test_too_few_observations_to_learn_from_can_be_stored_all_the_same(tmp_path):
+    recording, target = (
+        Recording(record(tmp_path / "a.bag", range(5))),
+        [f"session/root={tmp_path}", "session/name=few"],
+    )
+    with pytest.raises(ConfigError, match=r"exploration/steps is 5, fewer than training/first_update_at \(64\)"):
+        resolve_replay(recording, "", target)
+    assert resolve_copy(recording, "", target).arm.robot == "recording"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["camera: {widht: 8}", "!!python/object/apply:os.getcwd []", "[", "a: 1\n" * 10**5],
+    ids=["mistyped", "code", "unfinished", "endless"],
+)
 def test_recorded_settings_that_are_none_are_refused(tmp_path, text):
     with BagWriter(tmp_path / "a.bag") as bag:
         bag.write("/run_config", String(text), rospy.Time(1))
