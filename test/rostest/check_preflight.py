@@ -32,13 +32,15 @@ class PreflightTest(unittest.TestCase):
         after = rospy.wait_for_message("arm/state", PlanarState, TIMEOUT)
         self.assertEqual(after.header.stamp, before.header.stamp)
 
-    def test_of_a_real_robot_that_is_not_there_each_part_is_named(self):
+    def test_of_a_real_robot_that_is_not_there_each_part_is_named_whatever_a_replay_has_left(self):
+        rospy.set_param("/empty/config", {"arm": {"robot": "recording"}})
         run = PreflightRun(f"--robot-profile={LAB}", "--seconds=0.5", ROS_NAMESPACE="empty")
         self.assertEqual(run.status, 1, run.output)
         wanted = {"configuration", "clock", "robot state", "controllers", "error recovery", "arm state", "services"}
         wanted |= {"camera", "images", "camera matrix", "frames"}
         self.assertLessEqual(wanted, run.about("MISSING"), run.output)
         self.assertEqual(run.findings["reach"], "OK", run.output)
+        self.assertIn("/empty/config is that of a replay", run.output)
 
     def test_without_a_master_that_is_said_and_the_rest_is_looked_at(self):
         run = PreflightRun(f"--robot-profile={LAB}", ROS_MASTER_URI=f"http://localhost:{free_port(0)}")
