@@ -42,6 +42,17 @@ def test_a_resumed_session_keeps_its_own_configuration_but_for_what_is_said(tmp_
     assert again.training.threads == 1
 
 
+def test_a_session_from_another_computer_is_looked_at_without_its_world_but_not_explored_further(tmp_path):
+    world = tmp_path / "mine.yaml"
+    world.write_text("objects: {}\n")
+    Session.open_for_writing(resolve("demo", override(tmp_path, simulation__world=world))).close()
+    world.unlink()
+    again = override(tmp_path, session__resume="true")
+    assert resolve("", again, needs_arm=False).exploration.steps == 1000
+    with pytest.raises(WorldError, match=r"mine.yaml is missing"):
+        resolve("", again)
+
+
 def test_a_resumed_session_refuses_what_its_data_depends_on(tmp_path):
     Session.open_for_writing(resolve("demo", override(tmp_path))).close()
     with pytest.raises(SessionError, match="exploration/seed"):
@@ -108,6 +119,13 @@ def test_a_resumed_session_keeps_its_robot_and_what_was_measured_of_it(tmp_path)
     lab.write_text("franka: {table_height: 0.2}\n")
     with pytest.raises(SessionError, match="franka/table_height"):
         resolve("", override(tmp_path, session__resume="true", arm__robot="franka"), str(lab))
+
+
+def test_no_arm_goes_on_with_what_was_learned_from_a_recording(tmp_path):
+    Session.open_for_writing(resolve("demo", override(tmp_path, arm__robot="recording"))).close()
+    for robot in ("pybullet", "franka"):
+        with pytest.raises(SessionError, match=r"learned from a recording.* views_from:=stored"):
+            resolve("", override(tmp_path, session__resume="true", arm__robot=robot))
 
 
 @pytest.mark.parametrize(

@@ -31,14 +31,20 @@ BRINGUPS = ("all", "nodes", "none")
 
 
 def resolve(
-    profile: str, overrides: Sequence[str], robot_profile: str = "", recorded: Optional[Mapping[str, Any]] = None
+    profile: str,
+    overrides: Sequence[str],
+    robot_profile: str = "",
+    recorded: Optional[Mapping[str, Any]] = None,
+    needs_arm: bool = True,
 ) -> Config:
     """The configuration of one run: a profile (name in config/, or path) with SECTION/KEY=VALUE overrides.
 
     No profile is the paper's, or for a session that is resumed the configuration that it was made with. A real robot
     has a profile of its own, by name or path, whose limits win over those of the run's profile; none is its name in
     config/. An override without a value changes nothing. recorded: sections of keys that recorded images were made
-    with; a new session of them begins with these. The world's path and the session's name are filled in.
+    with; a new session of them begins with these. needs_arm: False where a session is resumed for what is stored in it
+    alone: it may come from another computer, and its world be absent here. The world's path and the session's name are
+    filled in.
     Raises ConfigError, WorldError or SessionError, for whatever would keep the run from starting.
     """
     config = combine(profile, overrides, robot_profile, recorded)
@@ -47,7 +53,8 @@ def resolve(
             raise ConfigError(
                 f"the robot profile {shown(robot_profile)} is for a real robot: set arm/robot, or leave it out"
             )
-        config = _with_world(config)
+        if needs_arm or not config.session.resume:
+            config = _with_world(config)
     elif "world" in _changes(overrides).get("simulation", {}):
         raise ConfigError(
             f"simulation/world is given, but arm/robot is {config.arm.robot}: only a simulated table can be chosen"

@@ -8,7 +8,7 @@ from typing import BinaryIO, Dict, List, Optional
 
 import numpy as np
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import RECORDED, Config
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import is_leftover, make_folder, remove_file, remove_leftovers
@@ -178,6 +178,11 @@ def _check_existing(path: Path, config: Config) -> None:
     stored = read_description(path / CONFIG_FILE)
     if not config.session.resume:
         raise SessionError(f"session {path} exists: choose another session/name, or set session/resume to continue it")
+    if stored.arm.robot == RECORDED != config.arm.robot:
+        raise SessionError(
+            f"session {path} was learned from a recording, so no arm can go on with it: replay.launch resume:=true "
+            "can; fingerprint.launch takes views_from:=stored"
+        )
     changes = changed_keys(stored, config)
     if changes:
         raise SessionError(f"session {path} cannot be continued: {'; '.join(changes)}: set it back, or start a new one")
