@@ -121,6 +121,9 @@ def chunk(data, size, compression=b"bz2"):
     return HEAD + record({"op": b"\x05", "compression": compression, "size": struct.pack("<L", size)}, data)
 
 
+NESTED = chunk(b"", 0, b"none")[len(HEAD) :]
+
+
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
@@ -131,7 +134,8 @@ def chunk(data, size, compression=b"bz2"):
         (chunk(b"", 0, b"gzip"), "compressed by 'gzip'"),
         (HEAD + struct.pack("<L", 2**31), "it ends too early"),
         (HEAD + record({"op": b"\x02", "conn": bytes(4)}), "belongs to no publisher"),
-        (HEAD + record({"op": b"\x63"}), "unknown kind 99"),
+        (HEAD + record({"op": b"\x63"}), "of the kind 99, which has no place there"),
+        (chunk(NESTED, len(NESTED), b"none"), "of the kind 5, which has no place there"),
         (HEAD + record({}), "damaged"),
     ],
 )

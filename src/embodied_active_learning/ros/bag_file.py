@@ -74,23 +74,27 @@ class BagFile:
                 raise BagError(self._damage(str(error))) from error
 
     def _messages(
-        self, records: Iterator[_Record], connections: Dict[int, Connection], wanted: Callable[[Connection], bool]
+        self,
+        records: Iterator[_Record],
+        connections: Dict[int, Connection],
+        wanted: Callable[[Connection], bool],
+        in_chunk: bool = False,
     ) -> Iterator[BagMessage]:
         for record in records:
             operation = record.number("op", "<B")
             if operation == _CONNECTION:
                 _connect(connections, record)
-            elif operation == _CHUNK:
+            elif operation == _CHUNK and not in_chunk:
                 chunk = _unpacked(record)
-                yield from self._messages(_records(io.BytesIO(chunk), len(chunk)), connections, wanted)
+                yield from self._messages(_records(io.BytesIO(chunk), len(chunk)), connections, wanted, in_chunk=True)
             elif operation == _MESSAGE:
                 number = record.number("conn", "<L")
                 if number not in connections:
                     raise ValueError("a message belongs to no publisher")
                 if wanted(connections[number]):
                     yield BagMessage(connections[number], record.time(), record.data())
-            elif operation not in (_INDEX, _CHUNK_INFO):
-                raise ValueError(f"a record is of the unknown kind {operation}")
+            elif in_chunk or operation not in (_INDEX, _CHUNK_INFO):
+                raise ValueError(f"a record is of the kind {operation}, which has no place there")
 
     def _opened(self) -> BinaryIO:
         try:
