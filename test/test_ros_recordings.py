@@ -192,6 +192,7 @@ def test_images_that_no_planner_would_take_are_refused_with_the_reason(tmp_path)
         blind.count(CONFIG)
     frozen = record_motion(tmp_path / "b.bag", 1.0, image=picture(0))
     assert frozen.count(CONFIG) == 1
+    assert "the same as from" in frozen.refused
 
 
 def test_a_bag_is_never_written_over_another_one_and_nothing_is_left_of_one_that_failed(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Set, Tuple, Type
 
@@ -44,6 +45,7 @@ class Recording:
         self.bags = [BagFile(found) for found in _bags(self.path)]
         self.lost = 0
         """Observations that were made but not recorded, as far as the last one who went through them has seen."""
+        self._refused: Counter = Counter()
         self._settings: Dict[str, str] = {}
         topics = self._survey()
         self._namespace = self._find_namespace(topics, namespace)
@@ -58,6 +60,11 @@ class Recording:
     def unclosed(self) -> List[Path]:
         """The bags whose recorder was killed: what they hold is read up to where they break off."""
         return [bag.path for bag in self.bags if not bag.closed]
+
+    @property
+    def refused(self) -> str:
+        """Why images were left out that a planner would refuse, as far as one has gone through them; empty for none."""
+        return "; ".join(f"{reason} ({count} times)" for reason, count in self._refused.most_common(_MOST_TOLD))
 
     def settings(self) -> Dict[str, Any]:
         """Sections of keys: what the run was configured with, less its session; nothing where that is not recorded.
@@ -115,14 +122,14 @@ class Recording:
     def _paired(self, config: Config) -> Iterator[Observation]:
         """Observations made of images and arm states."""
         pairs, any_yet = RecordedPairs(config), False
+        self._refused = pairs.refused
         for name, message in self._messages((names.CAMERA_IMAGE, names.ARM_STATE)):
             add = pairs.add_image if name == names.CAMERA_IMAGE else pairs.add_state
             for image, state in add(message):
                 any_yet = True
                 yield Observation(state.header, 0, state, image)
-        if not any_yet and pairs.refused:
-            reasons = "; ".join(f"{reason} ({count} times)" for reason, count in pairs.refused.most_common(_MOST_TOLD))
-            raise ObservationError(f"{self.path}: no image goes with a state of the arm: {reasons}")
+        if self.refused and not any_yet:
+            raise ObservationError(f"{self.path}: no image goes with a state of the arm: {self.refused}")
 
     def _messages(self, wanted: Tuple[str, ...]) -> Iterator[Tuple[str, genpy.Message]]:
         """Messages by the relative names of their topics."""
