@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
+from embodied_active_learning.ros.recordings import Recording
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launched, started
 from real_time import call, stand_in, truth, with_franka_messages
@@ -29,6 +30,7 @@ def test_a_run_on_the_stand_in_ends_with_all_its_observations_although_the_camer
         "steps": STEPS,
         "session": "run",
         "session_root": tmp_path,
+        "record": "true",
     }
     log, path = tmp_path / "launch.log", tmp_path / "run"
     words = [f"{name}:={value}" for name, value in arguments.items()]
@@ -56,6 +58,8 @@ def test_a_run_on_the_stand_in_ends_with_all_its_observations_although_the_camer
     with session.open_observations() as store:
         seen = store.snapshot()
     assert len(seen.images) == STEPS
+    recorded = list(Recording(path / "bags").observations(session.config))
+    assert [item.image.data for item in recorded] == [image.tobytes() for image in seen.images]
     assert not list(_repeated(seen.images, seen.raw_states)), "something was stored of a frozen camera"
 
 

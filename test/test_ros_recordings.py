@@ -1,5 +1,7 @@
 """What a recording holds for learning: its observations, or what images and arm states make of them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import rosbag
@@ -9,10 +11,11 @@ from std_msgs.msg import Header, String
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, ConfigError, ObservationError
+from embodied_active_learning.resolve import resolve
 from embodied_active_learning.ros.bag_writer import BagWriter
 from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
 from embodied_active_learning.ros.recorded_pairs import is_due
-from embodied_active_learning.ros.recordings import Recording, settings_text
+from embodied_active_learning.ros.recordings import Recording, read_settings, settings_text
 from embodied_active_learning.ros.replaying import resolve_copy, resolve_replay
 from embodied_active_learning.session.session import Session
 
@@ -213,3 +216,11 @@ def test_until_it_is_closed_a_bag_has_another_name(tmp_path):
     bag.close()
     bag.write("/observation", observation(1), rospy.Time(1))
     assert indices_of(Recording(tmp_path)) == [0]
+
+
+def test_the_bag_that_comes_with_the_package_is_of_the_profile_beside_it(tmp_path):
+    bags = Path(__file__).resolve().parents[1] / "bags"
+    recording = Recording(bags / "diagonal-small.bag")
+    made = resolve(str(bags / "diagonal-small.yaml"), [f"session/root={tmp_path}"])
+    assert recording.settings() == read_settings(settings_text(made))
+    assert recording.count(made) == made.exploration.steps == 400
