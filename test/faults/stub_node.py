@@ -8,12 +8,13 @@ import sys
 
 import numpy as np
 import rospy
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.ros.diagnostics import Health, report_health
 from embodied_active_learning.ros.failure import FailureWatch
-from embodied_active_learning.ros.node import run_node, wait_until
+from embodied_active_learning.ros.node import publish, run_node, wait_until
 from embodied_active_learning.ros.services import PatientService
 
 
@@ -46,6 +47,12 @@ def fail():
 def wait():
     report_health("stub", lambda: Health(message="working"))
     wait_until(lambda: False, lambda: "something that never comes")
+
+
+def publish_while_its_topics_are_closed():
+    told = rospy.Publisher("told", Empty, queue_size=1)
+    rospy.core.add_preshutdown_hook(lambda _reason: (publish(told, Empty()), rospy.loginfo("published")))
+    wait()
 
 
 def go_on_while_the_run_can():

@@ -116,6 +116,14 @@ def test_a_node_that_waits_ends_at_once(ros, master, sig):
         assert "Traceback" not in node.said
 
 
+def test_a_node_may_publish_while_its_topics_are_being_closed(ros, master):
+    with ros.node(STUB, "publish_while_its_topics_are_closed") as node:
+        node.wait_for("waiting for something that never comes")
+        assert node.end(signal.SIGINT) == ExitCode.ENDED
+        assert "published" in node.said
+        assert "Traceback" not in node.said
+
+
 def test_a_node_that_computes_is_ended_and_says_so_and_what_it_has_started_ends_with_it(ros, master):
     with ros.node(STUB, "compute_beside_a_child") as node:
         node.wait_for("computing")

@@ -59,7 +59,7 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
         pass
     except rospy.ROSException:
         # Whoever still publishes while a node ends gets one, too.
-        if not rospy.is_shutdown():
+        if not is_ending():
             raise
     return ExitCode.MASTER_LOST if watch is not None and watch.lost else ExitCode.ENDED
 
@@ -112,8 +112,13 @@ def publish(publisher: rospy.Publisher, message: Any) -> None:
     try:
         publisher.publish(message)
     except rospy.ROSException:
-        if not rospy.is_shutdown():
+        if not is_ending():
             raise
+
+
+def is_ending() -> bool:
+    """Whether the node has begun to end: rospy closes its topics before is_shutdown() says so."""
+    return rospy.core.is_shutdown_requested()
 
 
 def try_to_draw(draw: Callable[..., Any], *arguments: Any) -> Any:

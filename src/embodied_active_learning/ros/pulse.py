@@ -10,6 +10,8 @@ from typing import Callable, Deque, Optional
 
 import rospy
 
+from embodied_active_learning.ros.node import is_ending
+
 _KEPT = 1000
 """Calls whose lateness is kept."""
 
@@ -46,7 +48,7 @@ class Pulse:
             try:
                 self._function()
             except Exception as error:
-                if not rospy.is_shutdown():
+                if not is_ending():
                     self.failure = error
                     rospy.signal_shutdown(f"no set-points any more: {error!r}")
                 return

@@ -13,7 +13,7 @@ from rospy.exceptions import TransportException
 from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
-from embodied_active_learning.ros.node import ShutdownRequestedError, pause
+from embodied_active_learning.ros.node import ShutdownRequestedError, is_ending, pause
 from embodied_active_learning.ros.repeats import Repeats
 from embodied_active_learning.ros.waits import awaiting
 
@@ -135,7 +135,7 @@ def offer_service(
                 rospy.logwarn("%s refused: %s", name, error)
             return service_class._response_class(success=False, message=str(error), **fields_of(error))
         except (ShutdownRequestedError, rospy.ROSException):
-            if not rospy.is_shutdown():
+            if not is_ending():
                 raise
             return service_class._response_class(success=False, message=f"{rospy.get_name()} is ending")
 
