@@ -14,10 +14,10 @@ import torch
 import yaml
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.identification_run import IdentificationRun, read_sets
 from embodied_active_learning.ros.conversions import image_array, state_arrays
 from embodied_active_learning.ros.recordings import Recording
 from embodied_active_learning.session.fingerprints import load_fingerprints
-from embodied_active_learning.session.identifications import load_identification
 from embodied_active_learning.session.learned import load_trained
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
@@ -123,16 +123,21 @@ def test_the_learned_objects_are_fingerprinted_from_recorded_images(replayed):
         assert {tuple(state) for state in item.states} <= states
 
 
-def test_fingerprints_are_found_in_the_images_of_a_bag(replayed, home, tmp_path):
+def test_fingerprints_are_found_in_the_images_of_a_bag(replayed, home):
     convert = ["rosrun", "embodied_active_learning", "bag_to_session", BAG, "seen", "--root", home]
     subprocess.run(convert, check=True, timeout=60, stdout=subprocess.DEVNULL)
-    chosen = ["sessions:=again", "replay:=seen", f"session_root:={home}", "name:=first"]
-    output = launch_to_the_end(tmp_path, "identify.launch", *chosen)
-    result = load_identification(home / "seen", "first")
-    assert result.images == OBSERVATIONS
-    found = [item for item in result.decisions if item.found and item.kind == "object"]
-    assert len(found) >= 2, output
-    assert max(nearest(item.pose, TRUTH) for item in found) < 0.03, output
+    settings = Session.open_read_only(home / "seen").config.identification
+    run = IdentificationRun(home / "seen", read_sets(home, ["again"]), "first", 0, settings)
+    try:
+        while not run.complete:
+            run.advance()
+        decisions = run.decide()
+    finally:
+        run.close()
+    assert run.looked_at == OBSERVATIONS
+    found = [item for item in decisions if item.found and item.kind == "object"]
+    assert len(found) >= 2
+    assert max(nearest(item.pose, TRUTH) for item in found) < 0.03
 
 
 def test_a_bag_that_cannot_be_learned_from_ends_the_launch_before_any_node_starts(home, tmp_path):
