@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from xml.etree import ElementTree
 
 import pytest
@@ -9,14 +10,33 @@ import pytest
 from launching import ROOT
 
 FILES = sorted(path for folder in ("rostest", "faults") for path in (ROOT / "test" / folder).glob("*.test"))
+AT_ONCE = 2
+"""Files that run beside each other: for most of the time nodes wait for each other, or for a fault to be noticed."""
+TIMEOUT = 600  # s
+
+
+@pytest.fixture(scope="module")
+def runs(request, tmp_path_factory):
+    """The runs of the chosen files, in the order in which their tests ask for them: path -> future of (run, folder)."""
+    chosen = [item.callspec.params["path"] for item in request.session.items if item.module is request.module]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        futures = {path: pool.submit(_run, path, tmp_path_factory.mktemp(path.stem)) for path in chosen}
+        yield futures
+        for future in futures.values():
+            future.cancel()
+
+
+def _run(path, home):
+    environment = {**os.environ, "ROS_HOME": str(home)}
+    command = ["rostest", "embodied_active_learning", path.name]
+    run = subprocess.run(command, env=environment, check=False, capture_output=True, text=True, timeout=TIMEOUT)
+    return run, home
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_node_tests_pass(path, tmp_path):
-    environment = {**os.environ, "ROS_HOME": str(tmp_path)}
-    command = ["rostest", "embodied_active_learning", path.name]
-    run = subprocess.run(command, env=environment, check=False, capture_output=True, text=True, timeout=400)
-    results = [ElementTree.parse(found).getroot() for found in tmp_path.glob("test_results/*/rosunit-*.xml")]
+def test_node_tests_pass(path, runs):
+    run, home = runs[path].result()
+    results = [ElementTree.parse(found).getroot() for found in home.glob("test_results/*/rosunit-*.xml")]
     cases = [case for root in results for case in root.iter("testcase")]
     failed = [case for case in cases if case.find("failure") is not None or case.find("error") is not None]
     report = "\n".join(f"{case.get('name')}: {''.join(case.itertext())}" for case in failed)
