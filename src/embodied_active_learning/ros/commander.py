@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Callable, Iterator, Optional
 
 import rospy
 
 from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.diagnostics import WARN, Health
 
 
 class Interruption:
@@ -104,6 +106,20 @@ class Commander:
         """Wall seconds since the last command ended; None before the first."""
         with self._lock:
             return None if self._commanded_at is None else self._clock() - self._commanded_at
+
+    def health(self, arm: Health) -> Health:
+        """What /diagnostics tells of an arm, with who drives it; and that a stop lasts, unless there is worse."""
+        stopped_by, silence = self.stopped_by, self.silence
+        values = {
+            **arm.values,
+            "driven by": self.holder or "nobody",
+            "stopped by": stopped_by or "nobody",
+            "last command": "none yet" if silence is None else f"{silence:.1f} s ago",
+        }
+        if stopped_by and arm.level < WARN:
+            way_out = rospy.resolve_name(names.ARM_RECOVER)
+            return Health(WARN, f"stopped by {stopped_by}: call {way_out} to go on", values)
+        return replace(arm, values=values)
 
     @contextmanager
     def lapsed(self) -> Iterator[str]:
