@@ -61,8 +61,7 @@ class FrankaLink:
 
     def controllers(self) -> Dict[str, Controller]:
         """Every controller that is loaded, by name."""
-        answer = _call(names.CONTROLLERS, ListControllers)
-        return {one.name: Controller(one.state, moves(one)) for one in answer.controller}
+        return controllers_of(_call(names.CONTROLLERS, ListControllers))
 
     def load(self) -> None:
         """Load our controller."""
@@ -161,7 +160,12 @@ def set_stiffness_parameters(config: FrankaConfig) -> bool:
     return changed
 
 
-def moves(controller: Any) -> bool:
+def controllers_of(answer: Any) -> Dict[str, Controller]:
+    """The controllers in an answer of controller_manager, by name."""
+    return {one.name: Controller(one.state, _moves(one)) for one in answer.controller}
+
+
+def _moves(controller: Any) -> bool:
     """Whether a controller claims anything by which it could move the robot."""
     return any(
         claim.resources and not claim.hardware_interface.endswith(_LOOKING) for claim in controller.claimed_resources

@@ -14,7 +14,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from embodied_active_learning.config import REAL, SIMULATED, Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.franka.readiness import Controller
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.preflight import computer, picture, reach, robot, streams
 from embodied_active_learning.preflight.finding import Finding, fine, missing
@@ -130,9 +129,8 @@ class System:
         except (rospy.ROSException, rospy.ServiceException) as error:
             why = "franka_arm moves the arm by a controller that it loads and starts there"
             return [missing("controllers", f"{name} does not answer: {error}", why, self._start)]
-        controllers = {item.name: Controller(item.state, franka_link.moves(item)) for item in answer.controller}
         set_points_from = self._graph.publishers.get(rospy.resolve_name(names.FRANKA_SET_POINT), [])
-        return robot.check_controllers(controllers, set_points_from)
+        return robot.check_controllers(franka_link.controllers_of(answer), set_points_from)
 
     def _recovery(self) -> Finding:
         topic = f"{rospy.resolve_name(names.FRANKA_RECOVERY)}/status"
