@@ -69,11 +69,6 @@ class SetPointStream:
         """(3,) m/s, m/s, rad/s that the newest set-point moves at."""
         return tuple(self._velocity)
 
-    @property
-    def rests(self) -> bool:
-        """Whether the set-point stands still."""
-        return not any(self._velocity) and not any(self._level_velocity)
-
     def begin(self, measured: CameraPose) -> None:
         """Begin anew where the arm is, at rest: no force draws it anywhere."""
         self._planar, self._level = list(measured.planar), [measured.height, *measured.tilt]

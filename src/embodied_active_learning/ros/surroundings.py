@@ -76,7 +76,6 @@ class Ear:
         self._arrivals: List[float] = []
         self._ages: List[float] = []
         self._began = time.monotonic()
-        self._ended: Optional[float] = None
         self._subscriber = rospy.Subscriber(name, message_class, self._hear, queue_size=KEPT, buff_size=_BUFFER)
 
     @property
