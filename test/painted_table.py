@@ -8,9 +8,8 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import CameraConfig, Config
-from embodied_active_learning.geometry import intrinsics
+from embodied_active_learning.geometry import intrinsics, optical_rotation
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
-from embodied_active_learning.simulation.scene import optical_rotation
 
 TABLE = (150, 140, 130)
 # What there is to be painted: the colour of the disc, and that of its half on the side of its own x.

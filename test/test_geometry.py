@@ -16,13 +16,14 @@ from embodied_active_learning.geometry import (
     intrinsics,
     metres_per_pixel,
     move,
+    optical_rotation,
     pixels_of,
     pose_distance,
     rotation_matrix,
     table_points,
     wrap,
 )
-from embodied_active_learning.simulation.scene import Scene, optical_rotation
+from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.world import load_world
 from embodied_active_learning.workspace import Workspace
 

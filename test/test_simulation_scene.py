@@ -10,8 +10,9 @@ import pytest
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.geometry import optical_rotation
 from embodied_active_learning.simulation import scene as scene_module
-from embodied_active_learning.simulation.scene import Scene, optical_rotation
+from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.world import load_world, world_names
 from embodied_active_learning.workspace import Workspace
 

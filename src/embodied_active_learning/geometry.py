@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 
@@ -19,6 +19,21 @@ def rotation_matrix(x: float, y: float, z: float, w: float) -> np.ndarray:
     """(3, 3) of a unit quaternion."""
     vector, cross = np.array([x, y, z]), np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return (w * w - vector @ vector) * np.eye(3) + 2.0 * np.outer(vector, vector) + 2.0 * w * cross
+
+
+def fixed_axes_rotation(rpy: Sequence[float]) -> np.ndarray:
+    """Roll, pitch, yaw (rad) about the fixed axes -> (3, 3) matrix Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return about_z @ about_y @ about_x
+
+
+def optical_rotation(theta: float) -> np.ndarray:
+    """(3, 3) orientation of the optical frame in the base frame, tool pointing down: Rz(theta) Rx(pi)."""
+    cosine, sine = math.cos(theta), math.sin(theta)
+    return np.array([[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
 
 
 def wrap(angles: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from scipy.spatial.transform import Rotation
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.simulation.scene import optical_rotation
+from embodied_active_learning.geometry import optical_rotation
 
 ARM = "panda"
 _IDENTITY = np.eye(4).ravel().tolist()

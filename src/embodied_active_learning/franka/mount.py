@@ -9,10 +9,10 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
+from embodied_active_learning.geometry import fixed_axes_rotation, optical_rotation
 
 _ROTATION_TOLERANCE = 1e-2
 """How far from orthonormal a rotation may be: franka_states is rounded, but not more than that."""
-_DOWN = np.diag([1.0, -1.0, -1.0])  # Rx(pi): the optical frame at yaw 0
 
 
 class CameraPose(NamedTuple):
@@ -37,8 +37,7 @@ class CameraMount:
     def __init__(self, position: Sequence[float], rotation: Sequence[float], height: float) -> None:
         """Position (3,) m of the optical frame in EE; its rotation: roll, pitch, yaw, rad; the plane's height, m."""
         self._position = np.array(position, dtype=np.float64)
-        roll, pitch, yaw = rotation
-        self._rotation = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
+        self._rotation = fixed_axes_rotation(rotation)
         self._height = height
 
     @classmethod
@@ -83,7 +82,7 @@ class CameraMount:
     def end_effector(self, pose: CameraPose) -> Tuple[np.ndarray, np.ndarray]:
         """The camera's pose -> position (3,) m and rotation (3, 3) of EE in the base frame."""
         x, y, theta = pose.planar
-        rotation = _rotation_by(pose.tilt) @ _about(2, theta) @ _DOWN @ self._rotation.T
+        rotation = _rotation_by(pose.tilt) @ optical_rotation(theta) @ self._rotation.T
         return np.array([x, y, self._height + pose.height]) - rotation @ self._position, rotation
 
 
@@ -120,13 +119,3 @@ def _rotation_by(tilt: Sequence[float]) -> np.ndarray:
     x, y = tilt[0] / angle, tilt[1] / angle
     cross = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
-
-
-def _about(axis: int, angle: float) -> np.ndarray:
-    """(3, 3) rotation about a coordinate axis, 0 to 2, by an angle, rad."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    one, other = (axis + 1) % 3, (axis + 2) % 3
-    rotation = np.eye(3)
-    rotation[one, one] = rotation[other, other] = cosine
-    rotation[one, other], rotation[other, one] = -sine, sine
-    return rotation

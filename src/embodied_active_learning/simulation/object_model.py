@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.geometry import fixed_axes_rotation
 from embodied_active_learning.reading import FileReader, shown
 from embodied_active_learning.simulation.resources import locate
 
@@ -51,7 +52,7 @@ def read_model(urdf: Path) -> ObjectModel:
     mesh = locate(mesh_element.get("filename", ""), urdf.parent)
     scale = _vector(urdf, mesh_element.get("scale", "1 1 1"), 3)
     position, rpy = _origin(urdf, visual)
-    vertices = _vertices(urdf, mesh) * scale @ rotation(rpy).T + position
+    vertices = _vertices(urdf, mesh) * scale @ fixed_axes_rotation(rpy).T + position
     return ObjectModel(
         urdf=urdf,
         mesh=mesh,
@@ -62,15 +63,6 @@ def read_model(urdf: Path) -> ObjectModel:
         lower=tuple(vertices.min(axis=0)),
         upper=tuple(vertices.max(axis=0)),
     )
-
-
-def rotation(rpy: Vector) -> np.ndarray:
-    """Roll, pitch, yaw (rad) about the fixed axes -> (3, 3) matrix Rz(yaw) Ry(pitch) Rx(roll)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return about_z @ about_y @ about_x
 
 
 def _only_visual(urdf: Path) -> ET.Element:

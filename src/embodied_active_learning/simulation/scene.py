@@ -12,7 +12,7 @@ import pybullet
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.geometry import intrinsics
+from embodied_active_learning.geometry import intrinsics, optical_rotation
 from embodied_active_learning.simulation.table_picture import TablePicture
 from embodied_active_learning.simulation.world import PlacedObject, World
 
@@ -139,12 +139,6 @@ class Scene:
             return pybullet.createMultiBody(0.0, -1, shape, origin, turn, physicsClientId=self._client)
         except pybullet.error as error:
             raise WorldError(f"object {item.name}: PyBullet cannot load {model.mesh}: {error}") from error
-
-
-def optical_rotation(theta: float) -> np.ndarray:
-    """(3, 3) orientation of the optical frame in the base frame, tool pointing down: Rz(theta) Rx(pi)."""
-    cosine, sine = math.cos(theta), math.sin(theta)
-    return np.array([[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
 
 
 def _view_matrix(camera: np.ndarray) -> Tuple[float, ...]:
