@@ -15,6 +15,7 @@ from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian
 from embodied_active_learning.model.fast import FastLoss, fastest_loss
 from embodied_active_learning.model.kernels import Kernels
 from embodied_active_learning.model.native import NativeImages
+from embodied_active_learning.model.native_loss import NativeLoss
 from embodied_active_learning.model.objective import Batch, kl_divergence, negative_log_likelihood, plain_loss, weigh
 
 LIBRARY, REASON = load_library()
@@ -37,6 +38,10 @@ def make(image_size, config, size, dtype=torch.float32):
     images = torch.randint(0, 256, (2 * size, *image_size, 3), dtype=torch.uint8)
     pair = Batch((torch.rand(2 * size, 3) * 2 - 1).to(dtype), images)
     return network, pair, torch.randn(size, config.latent_size).to(dtype)
+
+
+def compiled(network):
+    return NativeLoss(NativeImages(network, Kernels(LIBRARY)))
 
 
 def gradients(loss, network, *arguments):
@@ -93,11 +98,11 @@ def test_the_loss_over_blocks_has_the_plain_gradients_to_double_precision(image_
     assert max(relative_errors(found, expected)) < 1e-12
 
 
-def compare_in_single_precision(images, network, pair, noise):
+def compare_in_single_precision(loss, network, pair, noise):
     double = copy.deepcopy(network).double()
     widened = Batch(pair.states.double(), pair.images)
     plain, expected = gradients(plain_loss, double, widened, noise.double(), 1e-3, 0.07)
-    fast, found = gradients(FastLoss(images), network, pair, noise, 1e-3, 0.07)
+    fast, found = gradients(loss, network, pair, noise, 1e-3, 0.07)
     assert torch.allclose(torch.stack(fast[:4]).double(), torch.stack(plain[:4]), rtol=1e-5, atol=1e-6)
     errors = sorted(relative_errors(found, expected))
     assert errors[-1] < 1e-4
@@ -108,7 +113,7 @@ def compare_in_single_precision(images, network, pair, noise):
 @pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
 def test_the_compiled_loss_has_the_plain_gradients_at_any_geometry_and_batch_size(image_size, config):
     network, pair, noise = make(image_size, config, 11)
-    compare_in_single_precision(NativeImages(network, Kernels(LIBRARY)), network, pair, noise)
+    compare_in_single_precision(compiled(network), network, pair, noise)
 
 
 @needs_compiler
@@ -116,7 +121,7 @@ def test_the_compiled_loss_has_the_plain_gradients_where_layers_are_large_enough
     network, pair, noise = make((61, 58), ModelConfig(channels=(6, 8), kernels=(3, 3), strides=(2, 2)), 70)
     images = NativeImages(network, Kernels(LIBRARY))
     assert min(70, network.feature_size) >= images.kernels.panel
-    compare_in_single_precision(images, network, pair, noise)
+    compare_in_single_precision(NativeLoss(images), network, pair, noise)
 
 
 @needs_compiler
@@ -147,12 +152,12 @@ def test_the_compiled_product_is_the_product_of_matrices_of_any_size_and_leaves_
 @needs_compiler
 def test_the_compiled_loss_is_as_exact_as_the_plain_one_at_180_pixels():
     network, pair, noise = make((180, 180), ModelConfig(), 9)
-    compare_in_single_precision(NativeImages(network, Kernels(LIBRARY)), network, pair, noise)
+    compare_in_single_precision(compiled(network), network, pair, noise)
 
 
 def test_the_loss_over_blocks_is_as_exact_as_the_plain_one_at_180_pixels():
     network, pair, noise = make((180, 180), ModelConfig(), 4)
-    compare_in_single_precision(BlockImages(network), network, pair, noise)
+    compare_in_single_precision(FastLoss(BlockImages(network)), network, pair, noise)
 
 
 def test_gradients_scale_with_what_is_asked_of_the_fast_loss():
@@ -168,7 +173,7 @@ def test_gradients_scale_with_what_is_asked_of_the_fast_loss():
 @needs_compiler
 def test_gradients_of_the_compiled_loss_are_taken_once():
     network, pair, noise = make((45, 45), ModelConfig(), 3)
-    loss = FastLoss(NativeImages(network, Kernels(LIBRARY)))(network, pair, noise, 1e-3, 0.07).total
+    loss = compiled(network)(network, pair, noise, 1e-3, 0.07).total
     loss.backward(retain_graph=True)
     with pytest.raises(RuntimeError, match="once"):
         loss.backward()
@@ -177,7 +182,7 @@ def test_gradients_of_the_compiled_loss_are_taken_once():
 @needs_compiler
 def test_two_compiled_losses_in_flight_do_not_share_memory():
     network, pair, noise = make((45, 45), ModelConfig(), 3)
-    fast = FastLoss(NativeImages(network, Kernels(LIBRARY)))
+    fast = compiled(network)
     _, expected = gradients(fast, network, pair, noise, 1e-3, 0.07)
     network.zero_grad()
     waiting = fast(network, pair, noise, 1e-3, 0.07)

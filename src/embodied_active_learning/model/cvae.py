@@ -31,6 +31,17 @@ class LatentGaussian(NamedTuple):
         return torch.exp(0.5 * self.log_variance)
 
 
+def limited(logarithm: torch.Tensor) -> torch.Tensor:
+    """A log std or log variance as the network gives it, within limits that keep its exponential sane."""
+    return logarithm.clamp(*LOG_LIMITS)
+
+
+def latent_gaussian(outputs: torch.Tensor) -> LatentGaussian:
+    """The encoder's outputs (B, 2 L) as means and log variances."""
+    mean, log_variance = outputs.chunk(2, dim=1)
+    return LatentGaussian(mean, limited(log_variance))
+
+
 def convolution_sizes(image_size: Size, config: ModelConfig) -> List[Size]:
     """(height, width) of the image and behind each convolution. Raises ConfigError for an image that is too small."""
     sizes = [(int(image_size[0]), int(image_size[1]))]
@@ -87,8 +98,7 @@ class ConditionalVAE(nn.Module):
         linear: how a layer is applied to its inputs.
         """
         first = _first_layer(self.encoder[0], features, states, linear)
-        mean, log_variance = _run(self.encoder[1:], first, linear).chunk(2, dim=1)
-        return LatentGaussian(mean, log_variance.clamp(*LOG_LIMITS))
+        return latent_gaussian(_run(self.encoder[1:], first, linear))
 
     def decode(self, latents: torch.Tensor, states: torch.Tensor) -> Tuple[torch.Tensor, torch.Tensor]:
         """p(y | z, x). latents: (B, L), states: (B, D) -> mean image (B, 3, H, W) in [0, 1] units, log std (B,)."""
@@ -112,7 +122,7 @@ class ConditionalVAE(nn.Module):
         linear: how a layer is applied to its inputs.
         """
         outputs = _run(self.decoder, torch.cat((latents, states), dim=1), linear)
-        return outputs[:, 0].clamp(*LOG_LIMITS), outputs[:, 1:]
+        return limited(outputs[:, 0]), outputs[:, 1:]
 
     def log_std(self, latents: torch.Tensor, states: torch.Tensor) -> torch.Tensor:
         """Log standard deviation of p(y | z, s) at states (S, D), for latents (S, L) or one (1, L) or (L,) -> (S,).
@@ -122,7 +132,7 @@ class ConditionalVAE(nn.Module):
         hidden = _first_layer(self.decoder[0], latents.reshape(-1, self.latent_size), states)
         hidden = self.decoder[1:-1](hidden)
         head = self.decoder[-1]
-        return functional.linear(hidden, head.weight[:1], head.bias[:1])[:, 0].clamp(*LOG_LIMITS)
+        return limited(functional.linear(hidden, head.weight[:1], head.bias[:1])[:, 0])
 
 
 def initialise(network: nn.Module, generator: torch.Generator) -> None:

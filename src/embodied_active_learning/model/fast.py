@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Union
-
 import torch
 
 from embodied_active_learning.model.block_images import BlockImages
@@ -11,6 +9,7 @@ from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.kernels import Kernels
 from embodied_active_learning.model.native import NativeImages
+from embodied_active_learning.model.native_loss import NativeLoss
 from embodied_active_learning.model.objective import HALF_LOG_TWO_PI, Arithmetic, Batch, Loss, kl_divergence
 
 
@@ -21,7 +20,7 @@ class FastLoss:
     gradients taken at once, so that no reconstruction of the whole batch is ever in memory.
     """
 
-    def __init__(self, images: Union[BlockImages, NativeImages]) -> None:
+    def __init__(self, images: BlockImages) -> None:
         self._images = images
 
     def __call__(self, network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: float, gamma: float) -> Loss:
@@ -47,4 +46,4 @@ def fastest_loss(network: ConditionalVAE) -> Arithmetic:
     if library is None:
         return Arithmetic(FastLoss(BlockImages(network)), f"torch alone, {threads} threads: {reason}", threads)
     images = NativeImages(network, Kernels(library))
-    return Arithmetic(FastLoss(images), f"{reason}, {threads} threads", 1)
+    return Arithmetic(NativeLoss(images), f"{reason}, {threads} threads", 1)

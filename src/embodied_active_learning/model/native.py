@@ -1,26 +1,39 @@
-"""Image features, reconstruction errors and large layers, with gradients, on the compiled kernels."""
+"""Convolutions, reconstruction errors and products of matrices on the compiled kernels, shared among threads."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, Callable, DefaultDict, List, Optional, Tuple
+from typing import Callable, DefaultDict, List, NamedTuple, Tuple
 
 import torch
 from torch import nn
-from torch.autograd.function import once_differentiable
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
 from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer, Weights, pack_weights
-
-Gradients = Tuple[Optional[torch.Tensor], ...]
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 END = 2  # layers next to the image that are worked off together, a few rows at a time
 
 
+class Seen(NamedTuple):
+    """What the encoder's gradients need of a batch of images: what is behind each convolution, still borrowed."""
+
+    images: torch.Tensor
+    parameters: List[torch.Tensor]
+    weights: List[Weights]
+    values: List[torch.Tensor]
+
+
+class Errors(NamedTuple):
+    """Mean squared error (B,) of each decoded image, and the gradients of the decoder's weights and biases."""
+
+    each: torch.Tensor
+    gradients: List[torch.Tensor]
+
+
 class NativeImages:
-    """Computes what blocks.BlockImages computes, in single precision."""
+    """The network's convolutions in single precision, and products that are large enough to be shared."""
 
     def __init__(self, network: ConditionalVAE, kernels: Kernels) -> None:
         """Take over the geometry of the network; its weights are read at each call."""
@@ -37,22 +50,113 @@ class NativeImages:
         self.deep_sides = range(min(END, len(self.layers)), len(self.layers) + 1)
         self._spare: DefaultDict[Tuple[int, range], List[List[torch.Tensor]]] = defaultdict(list)
 
-    def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
-        """Images (B, H, W, 3) uint8 -> features (B, F). They must stay as they are until the gradients are taken."""
-        return _Features.apply(self, images.contiguous(), *network.image_encoder.parameters())
+    def look(self, network: ConditionalVAE, images: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> Seen:
+        """Images (B, H, W, 3) uint8 -> features, into rows (B, F) and into columns (F, B).
 
-    def weighted_errors(
-        self, network: ConditionalVAE, features: torch.Tensor, images: torch.Tensor, weights: torch.Tensor
-    ) -> Tuple[torch.Tensor, torch.Tensor]:
-        """Mean squared error of each image (B,) decoded from its features (B, F): weighted sum, and each."""
-        parameters = network.image_decoder.parameters()
-        return _WeightedErrors.apply(self, features, weights, images.contiguous(), *parameters)
+        Give back what is returned to look_back, or to forget; the images must stay as they are until then.
+        """
+        kernels = self.kernels
+        parameters = list(network.image_encoder.parameters())
+        weights, images = pack_weights(parameters), images.contiguous()
+        values = self.borrow(self._groups(len(images)), range(1, len(self.layers) + 1))
+
+        def encode(group: int, members: slice) -> None:
+            self.encode(weights, images[members], [side[group] for side in values])
+            kernels.from_group(values[-1][group], rows[members])
+            kernels.from_group(values[-1][group], columns.t()[members])
+
+        self.for_each_group(len(images), encode)
+        return Seen(images, parameters, weights, values)
+
+    def look_back(self, seen: Seen, slopes: torch.Tensor) -> List[torch.Tensor]:
+        """Slopes (B, F) at the features -> gradients of the encoder's weights and biases, in their order."""
+        kernels, layers, weights, values = self.kernels, self.layers, seen.weights, seen.values
+        gradients = _gradients_of(seen.parameters, len(values[0]))
+
+        def differentiate(group: int, members: slice) -> None:
+            borrowed = self.borrow(1, self.deep_sides)
+            parts = [part[group] for part in gradients]
+            flow = borrowed[-1][0]
+            kernels.to_group(slopes[members], flow)
+            kernels.bias_gradient(layers[-1].narrow, flow, parts[-1])
+            for i in reversed(range(END, len(layers))):
+                inner = values[i - 1][group]
+                kernels.weight_gradient(layers[i], flow, inner, parts[2 * i])
+                below = borrowed[i - END][0]
+                kernels.widen(layers[i], weights[i].without_bias, flow, below, gate=inner, totals=parts[2 * i - 1])
+                flow = below
+            end = parts[:3] if len(layers) > 1 else parts[:1]
+            between = values[0][group] if len(layers) > 1 else None
+            kernels.look_back(layers[:END], weights[:END], seen.images[members], between, flow, end)
+            self.give_back(borrowed, 1, self.deep_sides)
+
+        self.for_each_group(len(slopes), differentiate)
+        self.forget(seen)
+        return [gradient.sum(0) for gradient in gradients]
+
+    def forget(self, seen: Seen) -> None:
+        """Give back what is behind the convolutions."""
+        self.give_back(seen.values, len(seen.values[0]), range(1, len(self.layers) + 1))
+
+    def reconstruct(
+        self,
+        network: ConditionalVAE,
+        features: torch.Tensor,
+        images: torch.Tensor,
+        weights: torch.Tensor,
+        slopes: torch.Tensor,
+    ) -> Errors:
+        """Decode features (F, B), compare with images (B, H, W, 3) uint8, and come back.
+
+        Fills slopes (F, B), and returns gradients, with those of the errors' sum weighted by weights (B,).
+        """
+        kernels, layers, images = self.kernels, self.layers, images.contiguous()
+        pixels, is_gated = images[0].numel(), len(self.layers) > END
+        parameters = list(network.image_decoder.parameters())
+        packed = pack_weights(parameters)[::-1]
+        scales, errors = weights[:, None] * (2.0 / pixels), torch.empty((len(images), 1))
+        gradients = _gradients_of(parameters, self._groups(len(images)))
+
+        def work(group: int, members: slice) -> None:
+            values, flow = self.borrow(1, self.deep_sides), self.borrow(1, self.deep_sides)
+            inner, below = [side[0] for side in values], [side[0] for side in flow]
+            scale, squares = torch.empty(kernels.lanes), torch.empty(kernels.lanes)
+            kernels.to_group(features.t()[members], inner[-1])
+            kernels.to_group(scales[members], scale)
+            # Weight and bias of each layer, from the image inwards.
+            slots = [(weight[group], bias[group]) for weight, bias in zip(gradients[-2::-2], gradients[::-2])]
+            totals = slots[END][1] if is_gated else torch.empty(layers[-1].narrow[0])
+            found = EndGradients(squares, slots[0], slots[1] if len(slots) > 1 else None, totals)
+            self.decode(packed, inner)
+            image = images[members], scale
+            kernels.reconstruct(layers[:END], packed[:END], inner[0], *image, is_gated, below[0], found)
+            self._differentiate_decoder(packed, inner, below, slots)
+            kernels.from_group(below[-1], slopes.t()[members])
+            kernels.from_group(squares, errors[members])
+            self.give_back(values, 1, self.deep_sides)
+            self.give_back(flow, 1, self.deep_sides)
+
+        self.for_each_group(len(images), work)
+        return Errors(errors[:, 0] / pixels, [gradient.sum(0) for gradient in gradients])
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
         """layer(inputs), inputs (B, I) -> (B, O)."""
-        if min(inputs.shape) < self.kernels.panel:
-            return layer(inputs)
-        return _Linear.apply(self, inputs, layer.weight, layer.bias)
+        return self.multiply(layer.weight, inputs.t().contiguous()).add_(layer.bias[:, None]).t()
+
+    def multiply(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        """Product of left (M, K), any strides, and right (K, N), contiguous -> (M, N).
+
+        Torch's own product is far from this machine's best on some processors, but has the small ones.
+        """
+        (rows, _), columns = left.shape, right.shape[1]
+        if columns < self.kernels.panel:
+            return left @ right
+        out = left.new_empty((rows, columns))
+        if rows > columns:
+            self._for_each_part(rows, lambda part: self.kernels.multiply(left[part], right, out[part]))
+        else:
+            self._for_each_part(columns, lambda part: self.kernels.multiply(left, right[:, part], out[:, part]))
+        return out
 
     def encode(self, weights: List[Weights], images: torch.Tensor, sides: List[torch.Tensor]) -> None:
         """From one group's images: fill its sides, that behind the first convolution to the innermost, the features."""
@@ -74,12 +178,46 @@ class NativeImages:
     def for_each_group(self, count: int, task: Callable[[int, slice], None]) -> None:
         """Call task(group, its images) for the groups of `count` images, on all threads."""
         lanes = self.kernels.lanes
-        self._share(-(-count // lanes), lambda group: task(group, slice(group * lanes, (group + 1) * lanes)))
+        self._share(self._groups(count), lambda group: task(group, slice(group * lanes, (group + 1) * lanes)))
 
-    def for_each_part(self, count: int, task: Callable[[slice], None]) -> None:
-        """Call task(part) for parts of range(count), none smaller than a panel, on all threads."""
-        parts = max(1, min(PARTS * self.threads, count // self.kernels.panel))
-        bounds = [count * part // parts for part in range(parts + 1)]
+    def borrow(self, groups: int, sides: range) -> List[torch.Tensor]:
+        """Room for the values on some sides of the layers, counted from the image: (groups, C, H, W, lanes) each.
+
+        Given back, it is used again: fresh memory of this size costs more in page faults than the arithmetic.
+        """
+        try:
+            return self._spare[groups, sides].pop()
+        except IndexError:
+            return [torch.empty((groups, *self._shapes[side], self.kernels.lanes)) for side in sides]
+
+    def give_back(self, buffers: List[torch.Tensor], groups: int, sides: range) -> None:
+        """Return what was borrowed."""
+        self._spare[groups, sides].append(buffers)
+
+    def _differentiate_decoder(
+        self,
+        packed: List[Weights],
+        inner: List[torch.Tensor],
+        below: List[torch.Tensor],
+        slots: List[Tuple[torch.Tensor, torch.Tensor]],
+    ) -> None:
+        """From the slopes that the last layers leave to those at the features, with the gradients on the way."""
+        kernels, count = self.kernels, len(self.layers)
+        for i in range(END, count):
+            layer, (wide, narrow) = self.layers[i], below[i - END : i - END + 2]
+            values = inner[i - END + 1]
+            kernels.weight_gradient(layer, values, wide, slots[i][0])
+            gate, totals = (values, slots[i + 1][1]) if i + 1 < count else (None, None)
+            kernels.narrow(layer, packed[i].without_bias, wide, narrow, gate=gate, totals=totals)
+
+    def _groups(self, count: int) -> int:
+        return -(-count // self.kernels.lanes)
+
+    def _for_each_part(self, count: int, task: Callable[[slice], None]) -> None:
+        """Call task(part) for parts of range(count), whole panels but for the last, on all threads."""
+        panel = self.kernels.panel
+        parts = max(1, min(PARTS * self.threads, count // panel))
+        bounds = [count * part // parts // panel * panel for part in range(parts)] + [count]
         self._share(parts, lambda part: task(slice(bounds[part], bounds[part + 1])))
 
     def _share(self, count: int, task: Callable[[int], None]) -> None:
@@ -98,162 +236,7 @@ class NativeImages:
         for helper in helping:
             helper.result()
 
-    def borrow(self, groups: int, sides: range) -> List[torch.Tensor]:
-        """Room for the values on some sides of the layers, counted from the image: (groups, C, H, W, lanes) each.
 
-        Given back, it is used again: fresh memory of this size costs more in page faults than the arithmetic.
-        """
-        try:
-            return self._spare[groups, sides].pop()
-        except IndexError:
-            return [torch.empty((groups, *self._shapes[side], self.kernels.lanes)) for side in sides]
-
-    def give_back(self, buffers: List[torch.Tensor], groups: int, sides: range) -> None:
-        """Return what was borrowed."""
-        self._spare[groups, sides].append(buffers)
-
-
-class _Features(torch.autograd.Function):
-    """The convolutions; the values between them stay borrowed until the gradients have been taken."""
-
-    @staticmethod
-    def forward(ctx: Any, native: NativeImages, images: torch.Tensor, *parameters: torch.Tensor) -> torch.Tensor:
-        kernels, layers = native.kernels, native.layers
-        weights = pack_weights(parameters)
-        groups, sides = -(-len(images) // kernels.lanes), range(1, len(layers) + 1)
-        values, features = native.borrow(groups, sides), torch.empty((len(images), native.feature_size))
-
-        def encode(group: int, members: slice) -> None:
-            native.encode(weights, images[members], [side[group] for side in values])
-            kernels.from_group(values[-1][group], features[members])
-
-        native.for_each_group(len(images), encode)
-        ctx.native, ctx.images, ctx.values, ctx.weights = native, images, values, weights
-        ctx.shapes = [parameter.shape for parameter in parameters]
-        return features
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
-        native, values, weights = ctx.native, ctx.values, ctx.weights
-        if values is None:
-            raise RuntimeError("gradients of image features can be taken once: what they need is given back after that")
-        ctx.values = None
-        kernels, layers = native.kernels, native.layers
-        groups, upstream = len(values[0]), upstream.detach()
-        gradients = [torch.empty((groups, *shape)) for shape in ctx.shapes]
-
-        def differentiate(group: int, members: slice) -> None:
-            borrowed = native.borrow(1, native.deep_sides)
-            parts = [part[group] for part in gradients]
-            slopes = borrowed[-1][0]
-            kernels.to_group(upstream[members], slopes)
-            kernels.bias_gradient(layers[-1].narrow, slopes, parts[-1])
-            for i in reversed(range(END, len(layers))):
-                inner = values[i - 1][group]
-                kernels.weight_gradient(layers[i], slopes, inner, parts[2 * i])
-                below = borrowed[i - END][0]
-                kernels.widen(layers[i], weights[i].without_bias, slopes, below, gate=inner, totals=parts[2 * i - 1])
-                slopes = below
-            end = parts[:3] if len(layers) > 1 else parts[:1]
-            between = values[0][group] if len(layers) > 1 else None
-            kernels.look_back(layers[:END], weights[:END], ctx.images[members], between, slopes, end)
-            native.give_back(borrowed, 1, native.deep_sides)
-
-        native.for_each_group(len(upstream), differentiate)
-        native.give_back(values, groups, range(1, len(layers) + 1))
-        return (None, None, *(gradient.sum(0) for gradient in gradients))
-
-
-class _WeightedErrors(torch.autograd.Function):
-    """sum_i w_i e_i, whose gradients are computed along with it, group by group, and kept until they are asked for."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        native: NativeImages,
-        features: torch.Tensor,
-        weights: torch.Tensor,
-        images: torch.Tensor,
-        *parameters: torch.Tensor,
-    ) -> Tuple[torch.Tensor, torch.Tensor]:
-        kernels, layers, pixels = native.kernels, native.layers, images[0].numel()
-        is_gated = len(layers) > END
-        packed = pack_weights(parameters)[::-1]
-        features, scales = features.detach(), weights.detach()[:, None] * (2.0 / pixels)
-        slopes, errors = torch.empty((len(images), native.feature_size)), torch.empty((len(images), 1))
-        gradients = [torch.empty((-(-len(images) // kernels.lanes), *parameter.shape)) for parameter in parameters]
-
-        def work(group: int, members: slice) -> None:
-            values, flow = native.borrow(1, native.deep_sides), native.borrow(1, native.deep_sides)
-            inner, below = [side[0] for side in values], [side[0] for side in flow]
-            scale, squares = torch.empty(kernels.lanes), torch.empty(kernels.lanes)
-            kernels.to_group(features[members], inner[-1])
-            kernels.to_group(scales[members], scale)
-            # Weight and bias of each layer, from the image inwards.
-            slots = [(weight[group], bias[group]) for weight, bias in zip(gradients[-2::-2], gradients[::-2])]
-            totals = slots[END][1] if is_gated else torch.empty(layers[-1].narrow[0])
-            found = EndGradients(squares, slots[0], slots[1] if len(slots) > 1 else None, totals)
-            native.decode(packed, inner)
-            image = images[members], scale
-            kernels.reconstruct(layers[:END], packed[:END], inner[0], *image, is_gated, below[0], found)
-            _differentiate_decoder(native, packed, inner, below, slots)
-            kernels.from_group(below[-1], slopes[members])
-            kernels.from_group(squares, errors[members])
-            native.give_back(values, 1, native.deep_sides)
-            native.give_back(flow, 1, native.deep_sides)
-
-        native.for_each_group(len(images), work)
-        errors = errors[:, 0] / pixels
-        ctx.save_for_backward(slopes, errors, *(gradient.sum(0) for gradient in gradients))
-        ctx.mark_non_differentiable(errors)
-        return torch.dot(weights, errors), errors
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: torch.Tensor, _: torch.Tensor) -> Gradients:
-        slopes, errors, *gradients = (upstream * saved for saved in ctx.saved_tensors)
-        return (None, slopes, errors, None, *gradients)
-
-
-class _Linear(torch.autograd.Function):
-    """A layer large enough that the product decides: torch's own is far from this machine's best on some processors."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, native: NativeImages, inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
-    ) -> torch.Tensor:
-        inputs = inputs.contiguous()
-        across = inputs.t().contiguous()
-        out = torch.empty((len(weight), len(inputs)))
-        native.for_each_part(len(weight), lambda part: native.kernels.multiply(weight[part], across, out[part]))
-        ctx.native = native
-        ctx.save_for_backward(inputs, weight)
-        return out.add_(bias[:, None]).t()
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
-        native, (inputs, weight) = ctx.native, ctx.saved_tensors
-        multiply = native.kernels.multiply
-        slopes, gradient = torch.empty_like(inputs), torch.empty_like(weight)
-        native.for_each_part(inputs.shape[1], lambda part: multiply(upstream, weight[:, part], slopes[:, part]))
-        native.for_each_part(len(weight), lambda part: multiply(upstream.t()[part], inputs, gradient[part]))
-        return None, slopes, gradient, upstream.sum(0)
-
-
-def _differentiate_decoder(
-    native: NativeImages,
-    packed: List[Weights],
-    inner: List[torch.Tensor],
-    below: List[torch.Tensor],
-    slots: List[Tuple[torch.Tensor, torch.Tensor]],
-) -> None:
-    """From the slopes that the last layers leave to those at the features, with the gradients on the way."""
-    kernels, count = native.kernels, len(native.layers)
-    for i in range(END, count):
-        layer, (wide, narrow) = native.layers[i], below[i - END : i - END + 2]
-        values = inner[i - END + 1]
-        kernels.weight_gradient(layer, values, wide, slots[i][0])
-        gate, totals = (values, slots[i + 1][1]) if i + 1 < count else (None, None)
-        kernels.narrow(layer, packed[i].without_bias, wide, narrow, gate=gate, totals=totals)
+def _gradients_of(parameters: List[torch.Tensor], groups: int) -> List[torch.Tensor]:
+    """Room for the gradient of each parameter that comes from each group."""
+    return [torch.empty((groups, *parameter.shape)) for parameter in parameters]

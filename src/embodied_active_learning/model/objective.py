@@ -67,6 +67,23 @@ def weigh(
     return Loss(total, reconstruction, conditional, kl, latent.mean)
 
 
+def error_weights(log_std: torch.Tensor, gamma: float) -> torch.Tensor:
+    """Weights (2 B,) in the loss of the mean squared errors of a pair's images, first half and second.
+
+    log_std: (2 B,). Averaged over a half, an error counts 1 / (2 std^2), and in the second half gamma times that.
+    """
+    weights = 0.5 * torch.exp(-2.0 * log_std) / (len(log_std) // 2)
+    weights[len(weights) // 2 :] *= gamma
+    return weights
+
+
+def pair_loss(errors: torch.Tensor, log_std: torch.Tensor, latent: LatentGaussian, beta: float, gamma: float) -> Loss:
+    """The loss of a pair from the mean squared errors (2 B,) and log std (2 B,) of its decoded images."""
+    terms = 0.5 * errors * torch.exp(-2.0 * log_std) + log_std
+    halves = terms.unflatten(0, (2, len(terms) // 2)).mean(dim=1) + HALF_LOG_TWO_PI
+    return weigh(halves[0], halves[1], latent, beta, gamma)
+
+
 def plain_loss(network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: float, gamma: float) -> Loss:
     """The loss of a batch (first B rows of the pair) and a second, independent one (last B rows), paired by position.
 
