@@ -147,6 +147,7 @@ def test_a_checkpoint_without_a_tensor_or_a_counter_is_refused_by_its_name():
 def test_a_batch_holds_no_observation_twice():
     learner = make(count=8)
     read = []
+    learner.arithmetic = learner.arithmetic._replace(in_place=False)
     learner._reader.read = lambda indices, read_batch=learner._reader.read: read.append(indices) or read_batch(indices)
     learner.updates = 1
     learner.update()

@@ -202,6 +202,17 @@ def test_a_weight_that_is_not_a_number_shows_in_the_compiled_loss():
 def test_without_a_compiler_torch_does_the_work_and_the_reason_is_told(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", str(tmp_path / "no-such-compiler"))
     network, pair, noise = make((45, 45), ModelConfig(), 2)
-    loss, reason, _ = fastest_loss(network)
+    loss, reason, *_ = fastest_loss(network)
     assert "no C compiler" in reason
     assert torch.isfinite(loss(network, pair, noise, 1e-3, 0.07).total)
+
+
+@needs_compiler
+def test_images_are_read_where_they_are_stored_and_nothing_is_read_between_their_rows():
+    network, pair, noise = make((45, 45), ModelConfig(), 11)
+    _, expected = gradients(compiled(network), network, pair, noise, 1e-3, 0.07)
+    apart = [image.clone() for image in pair.images]
+    _, found = gradients(compiled(network), network, pair._replace(images=apart), noise, 1e-3, 0.07)
+    assert all(torch.equal(one, other) for one, other in zip(found, expected))
+    with pytest.raises(ValueError, match="one piece"):
+        compiled(network)(network, pair._replace(images=pair.images.transpose(1, 2)), noise, 1e-3, 0.07)

@@ -46,4 +46,4 @@ def fastest_loss(network: ConditionalVAE) -> Arithmetic:
     if library is None:
         return Arithmetic(FastLoss(BlockImages(network)), f"torch alone, {threads} threads: {reason}", threads)
     images = NativeImages(network, Kernels(library))
-    return Arithmetic(NativeLoss(images), f"{reason}, {threads} threads", 1)
+    return Arithmetic(NativeLoss(images), f"{reason}, {threads} threads", 1, in_place=True)

@@ -317,9 +317,9 @@ void channel_sums(const side *s, float *out) {
     }
 }
 
-/* Images (count, rows, columns, channels) of bytes, count at most LANES. */
+/* Images (rows, columns, channels) of bytes, wherever each of them lies; count at most LANES. */
 typedef struct {
-    const uint8_t *bytes;
+    const uint8_t *const *images;
     int count, rows, columns, channels;
 } pictures;
 
@@ -348,7 +348,7 @@ INLINE void transpose(bytes16 *lines, uint8_t *out) {
 static void read_row(const pictures *p, int y, uint8_t *out) {
     int length = p->columns * p->channels;
     const uint8_t *line[LANES];
-    for (int lane = 0; lane < p->count; lane++) line[lane] = p->bytes + ((long)lane * p->rows + y) * length;
+    for (int lane = 0; lane < p->count; lane++) line[lane] = p->images[lane] + (long)y * length;
     int i = 0;
     for (; i + 16 <= length; i += 16) {
         bytes16 lines[LANES];

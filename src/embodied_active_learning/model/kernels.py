@@ -7,6 +7,8 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import torch
 
+from embodied_active_learning.model.objective import Images
+
 Shape = Tuple[int, int, int]
 
 
@@ -123,11 +125,11 @@ class Kernels:
         self,
         layers: Sequence[Layer],
         weights: Sequence[Weights],
-        images: torch.Tensor,
+        images: Images,
         values: Sequence[torch.Tensor],
         relu: bool,
     ) -> None:
-        """The convolutions next to the image, one or two, from up to `lanes` images (B, H, W, 3) uint8.
+        """The convolutions next to the image, one or two, from up to `lanes` images.
 
         values: room for what is behind each of them; relu: whether the last one has it.
         """
@@ -139,7 +141,7 @@ class Kernels:
         self,
         layers: Sequence[Layer],
         weights: Sequence[Weights],
-        images: torch.Tensor,
+        images: Images,
         values: Optional[torch.Tensor],
         slopes: torch.Tensor,
         gradients: Sequence[torch.Tensor],
@@ -158,13 +160,13 @@ class Kernels:
         layers: Sequence[Layer],
         weights: Sequence[Weights],
         values: torch.Tensor,
-        images: torch.Tensor,
+        images: Images,
         scales: torch.Tensor,
         gated: bool,
         slopes: torch.Tensor,
         gradients: EndGradients,
     ) -> None:
-        """Widen values through the last layers, one or two, compare with images (B, H, W, 3) uint8, and come back.
+        """Widen values through the last layers, one or two, compare with images, and come back.
 
         layers: the image's first. Fills slopes and gradients with those of the sum of scales (lanes,) / 2 times the
         errors; slopes are zero where gated values are not positive.
@@ -206,7 +208,7 @@ class _Layer(ctypes.Structure):
 
 class _Pictures(ctypes.Structure):
     _fields_ = (
-        ("bytes", ctypes.c_void_p),
+        ("images", ctypes.POINTER(ctypes.c_void_p)),
         ("count", ctypes.c_int),
         ("rows", ctypes.c_int),
         ("columns", ctypes.c_int),
@@ -261,8 +263,11 @@ def _layer(layer: Optional[Layer] = None, weights: Optional[Weights] = None) -> 
     return _Layer(*(layer[2:] if layer else (0, 0)), *(map(_address, weights) if weights else (None, None, None)))
 
 
-def _pictures(images: torch.Tensor) -> _Pictures:
-    return _Pictures(images.data_ptr(), *images.shape)
+def _pictures(images: Images) -> _Pictures:
+    if not images[0].is_contiguous():
+        raise ValueError("the compiled kernels read images row by row: give them in one piece each")
+    addresses = [image.data_ptr() for image in images]
+    return _Pictures((ctypes.c_void_p * len(addresses))(*addresses), len(addresses), *images[0].shape)
 
 
 def _address(tensor: Optional[torch.Tensor]) -> Optional[int]:

@@ -221,7 +221,8 @@ class Learner:
         size = self._config.training.batch_size
         halves = [self._random.choice(count, size, replace=False) for _ in range(2)]
         noise = self._random.standard_normal((size, self.network.latent_size), dtype=np.float32)
-        pair = self._reader.read(np.concatenate(halves))
+        read = self._reader.read_in_place if self.arithmetic.in_place else self._reader.read
+        pair = read(np.concatenate(halves))
         self._optimiser.zero_grad(set_to_none=True)
         loss = self.arithmetic.loss(self.network, pair, torch.from_numpy(noise).to(self._device), beta, gamma)
         loss.total.backward()

@@ -11,6 +11,7 @@ from torch import nn
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
 from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer, Weights, pack_weights
+from embodied_active_learning.model.objective import Images
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 END = 2  # layers next to the image that are worked off together, a few rows at a time
@@ -19,7 +20,7 @@ END = 2  # layers next to the image that are worked off together, a few rows at 
 class Seen(NamedTuple):
     """What the encoder's gradients need of a batch of images: what is behind each convolution, still borrowed."""
 
-    images: torch.Tensor
+    images: Images
     parameters: List[torch.Tensor]
     weights: List[Weights]
     values: List[torch.Tensor]
@@ -50,14 +51,14 @@ class NativeImages:
         self.deep_sides = range(min(END, len(self.layers)), len(self.layers) + 1)
         self._spare: DefaultDict[Tuple[int, range], List[List[torch.Tensor]]] = defaultdict(list)
 
-    def look(self, network: ConditionalVAE, images: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> Seen:
-        """Images (B, H, W, 3) uint8 -> features, into rows (B, F) and into columns (F, B).
+    def look(self, network: ConditionalVAE, images: Images, rows: torch.Tensor, columns: torch.Tensor) -> Seen:
+        """Images (B of them) -> features, into rows (B, F) and into columns (F, B).
 
         Give back what is returned to look_back, or to forget; the images must stay as they are until then.
         """
         kernels = self.kernels
         parameters = list(network.image_encoder.parameters())
-        weights, images = pack_weights(parameters), images.contiguous()
+        weights = pack_weights(parameters)
         values = self.borrow(self._groups(len(images)), range(1, len(self.layers) + 1))
 
         def encode(group: int, members: slice) -> None:
@@ -102,15 +103,15 @@ class NativeImages:
         self,
         network: ConditionalVAE,
         features: torch.Tensor,
-        images: torch.Tensor,
+        images: Images,
         weights: torch.Tensor,
         slopes: torch.Tensor,
     ) -> Errors:
-        """Decode features (F, B), compare with images (B, H, W, 3) uint8, and come back.
+        """Decode features (F, B), compare with images, and come back.
 
         Fills slopes (F, B), and returns gradients, with those of the errors' sum weighted by weights (B,).
         """
-        kernels, layers, images = self.kernels, self.layers, images.contiguous()
+        kernels, layers = self.kernels, self.layers
         pixels, is_gated = images[0].numel(), len(self.layers) > END
         parameters = list(network.image_decoder.parameters())
         packed = pack_weights(parameters)[::-1]
@@ -158,7 +159,7 @@ class NativeImages:
             self._for_each_part(columns, lambda part: self.kernels.multiply(left, right[:, part], out[:, part]))
         return out
 
-    def encode(self, weights: List[Weights], images: torch.Tensor, sides: List[torch.Tensor]) -> None:
+    def encode(self, weights: List[Weights], images: Images, sides: List[torch.Tensor]) -> None:
         """From one group's images: fill its sides, that behind the first convolution to the innermost, the features."""
         layers, count = self.layers, len(self.layers)
         self.kernels.look(layers[:END], weights[:END], images, sides[:END], relu=count > END)

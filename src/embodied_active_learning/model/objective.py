@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Callable, NamedTuple
+from typing import Callable, NamedTuple, Sequence
 
 import torch
 
@@ -12,11 +12,18 @@ from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian, 
 HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 
+Images = Sequence[torch.Tensor]
+"""B images (H, W, 3) uint8: one tensor (B, H, W, 3), or each where it is stored."""
+
+
 class Batch(NamedTuple):
-    """A mini-batch of observations: states (B, D) normalised float, images (B, H, W, 3) uint8."""
+    """A mini-batch of observations: states (B, D) normalised float, and images.
+
+    The images are one tensor (B, H, W, 3), unless they were asked for in place.
+    """
 
     states: torch.Tensor
-    images: torch.Tensor
+    images: Images
 
 
 class Loss(NamedTuple):
@@ -33,11 +40,13 @@ class Arithmetic(NamedTuple):
     """A way to compute the loss, what it runs on and why, and the threads that torch itself should have beside it.
 
     torch's threads spin for a while after their work, on cores that others need: 1 where others do the work.
+    in_place: whether it takes the images of a batch where they are stored, without a copy of all.
     """
 
     loss: Callable[..., Loss]
     description: str
     torch_threads: int
+    in_place: bool = False
 
 
 def negative_log_likelihood(images: torch.Tensor, means: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
