@@ -1,5 +1,8 @@
 """Active units and reconstruction errors."""
 
+import platform
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -55,21 +58,46 @@ def test_a_reader_on_another_device_keeps_what_it_has_seen_as_the_store_grows():
 
 
 @pytest.mark.parametrize(
-    ("largest_mmap_threshold", "trims", "both"),
+    ("largest_mmap_threshold", "others", "all_of_them"),
     [(2**31, True, True), (2**25, True, True), (2**24, True, False), (2**31, False, False)],
 )
-def test_freed_memory_is_kept_as_far_as_the_c_library_goes(monkeypatch, largest_mmap_threshold, trims, both):
+def test_freed_memory_is_kept_as_far_as_the_c_library_goes(monkeypatch, largest_mmap_threshold, others, all_of_them):
     switched = set()
 
     def mallopt(switch, value):
-        accepted = value <= largest_mmap_threshold if switch == memory.M_MMAP_THRESHOLD else trims
+        accepted = value <= largest_mmap_threshold if switch == memory.M_MMAP_THRESHOLD else others
         switched.update({switch} if accepted else ())
         return int(accepted)
 
     monkeypatch.setattr(memory.ctypes, "CDLL", lambda _: SimpleNamespace(mallopt=mallopt))
-    assert memory.keep_freed_memory() is both
-    assert (memory.M_TRIM_THRESHOLD in switched) is trims
+    assert memory.keep_freed_memory() is all_of_them
+    assert ({memory.M_TRIM_THRESHOLD, memory.M_ARENA_MAX} <= switched) is others
     assert (memory.M_MMAP_THRESHOLD in switched) is (largest_mmap_threshold >= 2**25)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no such switch")
+def test_what_a_thread_frees_is_kept_too():
+    program = """
+import resource, threading
+import numpy as np
+from embodied_active_learning.model.memory import keep_freed_memory
+
+assert keep_freed_memory()
+faults = []
+
+def work():
+    for _ in range(4):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        np.ones(2**27, np.uint8)  # 64 huge pages, or 2**15 small ones
+        faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+
+thread = threading.Thread(target=work)
+thread.start()
+thread.join()
+print(faults[-1])
+"""
+    ended = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert int(ended.stdout) < 32
 
 
 def test_without_the_switches_freed_memory_is_left_to_the_c_library(monkeypatch):
