@@ -30,6 +30,12 @@ class TorchImages:
         parts = features.unflatten(1, network.feature_shape).split(CHUNK)
         return torch.cat([network.image_decoder(part) for part in parts]).permute(0, 2, 3, 1)
 
+    def errors(self, network: ConditionalVAE, features: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
+        """Mean squared error (B,) of what is decoded from each of the features (B, F); images: (B, H, W, 3) uint8."""
+        pairs = zip(features.split(CHUNK), images.split(CHUNK))
+        found = [self.decode(network, part).sub_(seen / 255.0).square_().mean(dim=(1, 2, 3)) for part, seen in pairs]
+        return torch.cat(found)
+
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
         """layer(inputs), inputs (B, I) -> (B, O)."""
         return layer(inputs)
@@ -76,6 +82,12 @@ class CompiledImages:
 
         native.for_each_group(len(images), decode)
         return images
+
+    def errors(self, network: ConditionalVAE, features: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
+        """Mean squared error (B,) of what is decoded from each of the features (B, F); images: (B, H, W, 3) uint8."""
+        # Its gradients cost less than to take decoded images out of their groups, and to compare them outside.
+        slopes = torch.empty_like(features).t()
+        return self._native.reconstruct(network, features.t(), images, torch.ones(len(features)), slopes).each
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
         """layer(inputs), inputs (B, I) -> (B, O)."""

@@ -8,7 +8,7 @@ from typing import Dict
 import torch
 
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.inference import CHUNK, InferenceImages
+from embodied_active_learning.model.inference import InferenceImages
 from embodied_active_learning.model.objective import Batch
 
 
@@ -41,12 +41,8 @@ def reconstruction_error(
     network: ConditionalVAE, images: InferenceImages, latents: torch.Tensor, subset: Batch
 ) -> float:
     """Mean squared error of the subset's images decoded from latents (N, L) at the subset's states."""
-    total = 0.0
-    for index in torch.arange(len(latents)).split(CHUNK):
-        _, features = network.decode_features(latents[index], subset.states[index], images.linear)
-        difference = images.decode(network, features).sub_(subset.images[index] / 255.0)
-        total += float(difference.square_().mean()) * len(index)
-    return total / len(latents)
+    _, features = network.decode_features(latents, subset.states, images.linear)
+    return float(images.errors(network, features, subset.images).mean())
 
 
 def evaluate_model(
