@@ -95,6 +95,12 @@ def test_tensor_that_is_not_finite_never_replaces_a_good_checkpoint(tmp_path, va
     assert load_latest(tmp_path).updates == 1
 
 
+def test_finite_numbers_whose_sum_is_not_are_stored(tmp_path):
+    largest = torch.full((3,), torch.finfo(torch.float32).max)
+    save_checkpoint(tmp_path, 1, {"weight": largest}, {})
+    assert torch.equal(load_latest(tmp_path).tensors["weight"], largest)
+
+
 def test_model_gives_back_tensors_and_facts(tmp_path):
     save_model(tmp_path / "model.safetensors", tensors(), {"updates": 9000})
     found, facts = load_model(tmp_path / "model.safetensors")

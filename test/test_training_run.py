@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from embodied_active_learning import training_run
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError, SessionError
+from embodied_active_learning.session import checkpoints
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.training_run import TrainingRun
 from training_thread import TIMEOUT, hand_over, observation, training
@@ -116,6 +118,26 @@ def test_a_checkpoint_can_be_asked_for_while_training(tmp_path):
     with training(run):
         hand_over(run, range(6))
         assert run.save(TIMEOUT).exists()
+
+
+def test_what_the_newest_checkpoint_holds_is_not_written_again(tmp_path, monkeypatch):
+    written = []
+
+    def save_checkpoint(folder, updates, *arguments):
+        written.append(updates)
+        return checkpoints.save_checkpoint(folder, updates, *arguments)
+
+    monkeypatch.setattr(training_run, "save_checkpoint", save_checkpoint)
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (_, finished, _):
+        hand_over(run, range(STEPS))
+        assert finished.wait(TIMEOUT)
+        path = run.save(TIMEOUT)
+        assert written == [2 * STEPS]
+        path.unlink()
+        assert run.save(TIMEOUT) == path
+        assert path.exists()
+    assert written == [2 * STEPS, 2 * STEPS]
 
 
 def test_a_session_in_use_is_not_opened_again(tmp_path):

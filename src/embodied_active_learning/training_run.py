@@ -40,6 +40,7 @@ class TrainingRun:
         self._changed = threading.Condition()
         self._save_asked = False
         self._saved: Optional[Path] = None
+        self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # what the newest checkpoint is of, and where
         self._complete = False
         self._diverged_at, self._rollbacks_there = 0, 0
         self._restore()
@@ -259,9 +260,17 @@ class TrainingRun:
                 self._changed.notify_all()
 
     def _checkpoint(self) -> Path:
-        tensors, counters = self._learner.state()
+        """Have a checkpoint of what is known now -> its path. One that is there already is not written again."""
+        learner = self._learner
+        content = self.updates, self.skipped, self.rollbacks, learner.snapshots.updates, self.observations
+        if self._checkpointed is not None:
+            known, path = self._checkpointed
+            if known == content and path.exists():
+                return path
+        tensors, counters = learner.state()
         counters["observations"] = self.observations
         kept = self._config.training.checkpoints_kept
         path = save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)
+        self._checkpointed = content, path
         self._beginning = None
         return path
