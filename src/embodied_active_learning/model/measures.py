@@ -42,7 +42,7 @@ def reconstruction_error(
 ) -> float:
     """Mean squared error of the subset's images decoded from latents (N, L) at the subset's states."""
     _, features = network.decode_features(latents, subset.states, images.linear)
-    return float(images.errors(network, features, subset.images).mean())
+    return float(images.errors(network, features, subset.images).double().mean())
 
 
 def evaluate_model(
