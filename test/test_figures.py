@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import shutil
 import subprocess
 import sys
 
@@ -15,7 +16,7 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.figures import draw_all
+from embodied_active_learning.figures import draw_all, look_back
 from embodied_active_learning.figures.entropy_map import entropy_maps
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
 from embodied_active_learning.figures.mosaic import top_view
@@ -121,6 +122,19 @@ def test_mosaic_of_no_images_is_empty(tmp_path):
     assert not top_view(images, states, config.camera, config.workspace.box()).seen.any()
 
 
+def test_mosaic_leaves_out_images_from_beyond_its_borders(tmp_path):
+    config = make_config(tmp_path)
+    state = np.array([0.39, -0.10, 0.3])
+    inside = photograph(state, config.camera)
+    images, states = np.stack([inside] * 5), np.tile(state, (5, 1))
+    states[1:, :2] += [(3, 0), (-3, 0), (0, 3), (0, -3)]
+    alone, among_others = (
+        top_view(images[:count], states[:count], config.camera, config.workspace.box()) for count in (1, 5)
+    )
+    assert np.array_equal(alone.pixels, among_others.pixels)
+    assert np.array_equal(alone.seen, among_others.seen)
+
+
 def test_pixel_at_30_degrees_from_30_cm_is_nine_tenths_of_a_millimetre():
     # 2 * 0.3 m * tan(15 degrees) = 160.8 mm over 180 pixels.
     assert metres_per_pixel(Config().camera) == pytest.approx(0.1608 / 180, rel=1e-3)
@@ -135,6 +149,14 @@ def test_all_figures_of_a_finished_run_are_drawn(tmp_path):
         assert path.parent == session.paths.figures
         assert_picture(path, width)
     assert sorted(path.name for path in session.paths.figures.iterdir()) == sorted(path.name for path in paths)
+
+
+def test_figures_are_drawn_from_what_was_read_before(tmp_path):
+    session = make_session(tmp_path)
+    save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60, "observations": 40})
+    seen = look_back(session)
+    shutil.rmtree(session.paths.observations)
+    assert len(draw_all(session, seen=seen)) == 3
 
 
 def test_only_the_learning_metrics_are_drawn_before_there_is_a_model(tmp_path):

@@ -8,7 +8,7 @@ from typing import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from embodied_active_learning.figures.mosaic import top_view
+from embodied_active_learning.figures.mosaic import Seen
 from embodied_active_learning.figures.style import MEDIUM, SMALL, colour, new_figure, save, spread
 from embodied_active_learning.figures.views import (
     draw_map,
@@ -30,18 +30,18 @@ _SHOWN_YAWS = (1, 3, 5)  # of the seven, from the lowest to the highest
 
 
 def draw_entropy(
-    path: Path, session: Session, model: LearnedModel, seen: Observations, objects: Sequence[Location] = ()
+    path: Path, session: Session, model: LearnedModel, seen: Seen, objects: Sequence[Location] = ()
 ) -> Path:
     """Top: mean map, visited states, table from above. Bottom: the map at three yaws. One colour scale for all."""
     workspace = session.config.workspace.box()
-    maps = entropy_maps(model, _latents(model, seen), workspace)
+    maps = entropy_maps(model, _latents(model, seen.observations), workspace)
     extent, limits = extent_of(workspace), (float(maps.min()), float(maps.max()))
     figure = new_figure(9.2, 6.0)
     axes = figure.subplots(2, 3)
     image = draw_map(axes[0, 0], maps.mean(axis=0), extent, limits)
     axes[0, 0].set_title("mean over yaw", fontsize=MEDIUM)
-    _draw_visited(axes[0, 1], seen.raw_states, workspace)
-    draw_top_view(axes[0, 2], top_view(seen.images, seen.raw_states, session.config.camera, workspace))
+    _draw_visited(axes[0, 1], seen.observations.raw_states, workspace)
+    draw_top_view(axes[0, 2], seen.table)
     show_workspace(axes[0, 2], workspace)
     axes[0, 2].set_title("what the camera saw", fontsize=MEDIUM)
     yaws = workspace.centre[2] + workspace.scale[2] * _middles(_YAWS)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Dict, List, Sequence
+from typing import Callable, Dict, List, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from embodied_active_learning.config import SIMULATED
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.figures.mosaic import top_view
+from embodied_active_learning.figures.mosaic import Seen, look_back
 from embodied_active_learning.figures.style import GREY, LARGE, SMALL, colour, label, new_figure, quiet, save
 from embodied_active_learning.figures.views import draw_path, draw_top_view
 from embodied_active_learning.session.session import Session
@@ -18,8 +18,11 @@ from embodied_active_learning.session.session import Session
 _HEIGHTS = (1.0, 1.0, 1.0, 1.0, 2.6)
 
 
-def draw_learning_metrics(path: Path, sessions: Sequence[Session]) -> Path:
-    """One column for each world and explorer, its seeds over each other; rows as in the paper, and the loss."""
+def draw_learning_metrics(path: Path, sessions: Sequence[Session], look: Callable[[Session], Seen] = look_back) -> Path:
+    """One column for each world and explorer, its seeds over each other; rows as in the paper, and the loss.
+
+    look: what tells what a session's camera has seen.
+    """
     columns = _columns(sessions)
     figure = new_figure(1.0 + 3.2 * len(columns), 9.2)
     grid = figure.subplots(
@@ -32,7 +35,7 @@ def draw_learning_metrics(path: Path, sessions: Sequence[Session]) -> Path:
         _draw_ergodic_measure(axes[1], members)
         _draw_loss(axes[2], members)
         _draw_weights(axes[3], members)
-        _draw_workspace(axes[4], members)
+        _draw_workspace(axes[4], members[0], look(members[0]))
         for later in axes if index else ():
             later.set_ylabel("")
     return save(figure, path)
@@ -96,15 +99,10 @@ def _draw_weights(axes: Axes, sessions: Sequence[Session]) -> None:
     label(axes, "model update", "weights of\nthe loss")
 
 
-def _draw_workspace(axes: Axes, sessions: Sequence[Session]) -> None:
-    """The table as the first of the sessions saw it, with its path."""
-    session = sessions[0]
-    workspace = session.config.workspace.box()
-    with session.open_observations() as store:
-        seen = store.snapshot()
-    view = top_view(seen.images, seen.raw_states, session.config.camera, workspace)
-    draw_top_view(axes, view)
-    draw_path(axes, seen.raw_states, workspace)
+def _draw_workspace(axes: Axes, session: Session, seen: Seen) -> None:
+    """The table as a session saw it, with its path."""
+    draw_top_view(axes, seen.table)
+    draw_path(axes, seen.observations.raw_states, session.config.workspace.box())
 
 
 def _seed(session: Session) -> str:

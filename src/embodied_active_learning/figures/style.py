@@ -20,6 +20,7 @@ SMALL = 8
 MEDIUM = 9
 LARGE = 11
 _DOTS_PER_INCH = 160
+_COMPRESSION = 4  # of 9: a twentieth larger than by the usual 6, in half the time
 
 
 def new_figure(width: float, height: float, arranged: bool = True) -> Figure:
@@ -80,6 +81,6 @@ def save(figure: Figure, path: Path) -> Path:
     path = Path(path)
     make_folder(path.parent)
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=_DOTS_PER_INCH)
+    figure.savefig(picture, format="png", dpi=_DOTS_PER_INCH, pil_kwargs={"compress_level": _COMPRESSION})
     write_bytes(path, picture.getvalue())
     return path

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from numbers import Real
-from typing import Any, Dict, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Tuple
 
 import numpy as np
-import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.session.names import check_name, check_recorded_name
+
+if TYPE_CHECKING:
+    import torch  # takes a second, which those who need no weights can do without
 
 OBJECT, BLANK = "object", "blank"
 KINDS = (OBJECT, BLANK)

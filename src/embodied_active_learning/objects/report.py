@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
-from embodied_active_learning.objects.identification import Decision
+
+if TYPE_CHECKING:
+    from embodied_active_learning.objects.identification import Decision
 
 SAME_PLACE = 0.03
 """Distance [m] within which a decision or a fingerprint's centre is on an object."""

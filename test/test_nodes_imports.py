@@ -1,0 +1,21 @@
+"""What a node imports as it starts: each second of that is one more before the first step of every run."""
+
+import subprocess
+import sys
+
+import pytest
+
+from launching import ROOT
+
+LARGE = ("torch", "sklearn", "matplotlib")
+
+
+@pytest.mark.parametrize("node", ["ergodic_planner", "fingerprinter", "monitor", "pybullet_arm"])
+def test_a_node_starts_without_the_libraries_that_it_does_not_need_yet(node):
+    program = f"""
+import runpy, sys
+runpy.run_path({str(ROOT / "nodes" / node)!r})
+print([name for name in {LARGE} if name in sys.modules])
+"""
+    ended = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert ended.stdout.splitlines()[-1] == "[]"
