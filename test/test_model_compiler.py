@@ -137,6 +137,20 @@ def test_a_compiler_of_several_words_is_used(cache, monkeypatch, tmp_path):
 
 
 @needs_compiler
+def test_another_text_of_any_source_builds_a_library_of_its_own(cache, monkeypatch, tmp_path):
+    sources = [shutil.copy(str(source), str(tmp_path)) for source in (compiler.SOURCE, *compiler.INCLUDED)]
+    monkeypatch.setattr(compiler, "SOURCE", compiler.Path(sources[0]))
+    monkeypatch.setattr(compiler, "INCLUDED", [compiler.Path(source) for source in sources[1:]])
+    assert len(sources) == 3
+    names = {compiler._fingerprint(["gcc"])}
+    for source in sources:
+        with open(source, "a") as stream:
+            stream.write("/* another text */\n")
+        names.add(compiler._fingerprint(["gcc"]))
+    assert len(names) == 1 + len(sources)
+
+
+@needs_compiler
 def test_another_version_of_the_compiler_builds_its_own_library(cache, monkeypatch, tmp_path):
     for version in (12, 13):
         says = f'if [ "$1" = --version ]; then echo gcc {version}; else exec gcc "$@"; fi'

@@ -29,6 +29,10 @@ GEOMETRIES = [
     ((30, 41), ModelConfig(channels=(4,), kernels=(5,), strides=(2,))),
     ((16, 16), ModelConfig(channels=(4,), kernels=(1,), strides=(4,))),
     ((44, 44), ModelConfig(channels=(4, 6), kernels=(1, 3), strides=(2, 2))),
+    ((48, 47), ModelConfig(channels=(7, 11), kernels=(3, 5), strides=(2, 3))),
+    ((41, 43), ModelConfig(channels=(9, 4), kernels=(5, 3), strides=(3, 2))),
+    ((9, 7), ModelConfig(channels=(2, 3), kernels=(3, 3), strides=(2, 2))),
+    ((30, 11), ModelConfig(channels=(3, 2), kernels=(3, 5), strides=(2, 3))),
 ]
 
 

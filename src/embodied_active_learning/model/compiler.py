@@ -18,6 +18,7 @@ from typing import List, Optional, Tuple
 from embodied_active_learning.model.kernels import signatures
 
 SOURCE = Path(__file__).with_name("kernels.c")
+INCLUDED = sorted(SOURCE.parent.glob("*.h"))
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-shared", "-fPIC")
 BUILD_SECONDS = 120
 
@@ -95,7 +96,9 @@ def _build(path: Path, command: List[str]) -> None:
 
 def _fingerprint(command: List[str]) -> str:
     """Of all that the compiled code depends on: a library for another processor would crash this one."""
-    digest = hashlib.sha256(SOURCE.read_bytes())
+    digest = hashlib.sha256()
+    for source in (SOURCE, *INCLUDED):
+        digest.update(source.read_bytes())
     parts = (*command, _version(command), *FLAGS, platform.machine(), _processor_features())
     digest.update(" ".join(parts).encode())
     return digest.hexdigest()[:16]

@@ -7,42 +7,16 @@
  * memory, not arithmetic, is what takes the time. Plain C with GCC's vector extension: the compiler picks the
  * instructions of the machine it runs on.
  */
-#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-#ifdef __AVX512F__
-#include <immintrin.h>
-#define LANES 16
-#else
-#define LANES 8
-#endif
+#include "paired.h"
+#include "sides.h"
 
-typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef float loose_vec __attribute__((vector_size(4 * LANES), aligned(4)));
-typedef int32_t mask __attribute__((vector_size(4 * LANES)));
 typedef uint8_t bytes16 __attribute__((vector_size(16)));
 
-#define INLINE static inline __attribute__((always_inline))
-#define UNROLL _Pragma("GCC unroll 32")
-
-/* Have a vector loaded once into a register; the compiler would rather read it from memory in each product. */
-#ifdef __AVX512F__
-#define LOAD(name, from)                                                                                               \
-    vec name = from;                                                                                                   \
-    __asm__("" : "+v"(name))
-#else
-#define LOAD(name, from) vec name = from
-#endif
-
 int lanes(void) { return LANES; }
-
-/* Values on one side of a layer. Of its rows only `kept` are in memory, row y in place y & places: all of them with
- * places = -1, the last few in a ring with places = kept - 1, kept a power of two. */
-typedef struct {
-    vec *values;
-    int channels, rows, columns, kept, places;
-} side;
 
 /* Weights (input channel, ky, kx, output channel) for going either way; biases of the side that is written. */
 typedef struct {
@@ -50,23 +24,13 @@ typedef struct {
     const float *narrowing, *widening, *bias;
 } layer;
 
-/* What happens to a value before it is stored: relu keeps what is positive, gate what is positive there (the gradient of
- * relu). totals, if wanted: sums (channels) of what is stored. */
+/* A layer as it is worked off. If paired, its weights are the taps of paired.h, in room of their own; failed: there was no
+ * room. */
 typedef struct {
-    const float *bias;
-    int relu;
-    const side *gate;
-    vec *totals;
-} finish;
-
-INLINE vec *row(const side *s, int channel, int y) {
-    return s->values + ((long)channel * s->kept + (y & s->places)) * s->columns;
-}
-
-INLINE int least(int a, int b) { return a < b ? a : b; }
-
-/* NaN passes, so that a network that has diverged shows it. */
-INLINE vec positive(vec value, vec where) { return (vec)((mask)value & ~(mask)(where <= 0.0f)); }
+    int kernel, stride, paired, failed;
+    const float *narrowing, *widening, *bias;
+    float *room;
+} filter;
 
 #define START(N, P)                                                                                                    \
     vec sum[P][N];                                                                                                     \
@@ -89,7 +53,7 @@ INLINE vec positive(vec value, vec where) { return (vec)((mask)value & ~(mask)(w
 
 /* N channels of P neighbouring columns of the narrow side. */
 #define NARROW(N, P)                                                                                                   \
-    INLINE void narrow_##N##_##P(const side *in, const side *out, const layer *l, int k, int s, const finish *f,       \
+    INLINE void narrow_##N##_##P(const side *in, const side *out, const filter *l, int k, int s, const finish *f,       \
                                  int o, int y, int x) {                                                                \
         int O = out->channels;                                                                                         \
         START(N, P)                                                                                                    \
@@ -109,7 +73,7 @@ INLINE vec positive(vec value, vec where) { return (vec)((mask)value & ~(mask)(w
 /* N channels of P columns of the wide side, x, x + s, ..., x = first s + phase: column first - t of the narrow side
  * reaches the first of them with kernel column phase + s t. */
 #define WIDEN(N, P)                                                                                                    \
-    INLINE void widen_##N##_##P(const side *in, const side *out, const layer *l, int k, int s, const finish *f,        \
+    INLINE void widen_##N##_##P(const side *in, const side *out, const filter *l, int k, int s, const finish *f,        \
                                 int o, int y, int first, int phase) {                                                  \
         int O = out->channels, x = first * s + phase;                                                                  \
         long plane = (long)in->kept * in->columns;                                                                     \
@@ -145,7 +109,7 @@ WIDEN(3, 8)
         else KIND##_1_##P(in, out, l, k, s, f, o, y, __VA_ARGS__), o += 1;                                             \
     }
 
-INLINE void widen_any(const side *in, const side *out, const layer *l, int k, int s, const finish *f, int from,
+INLINE void widen_any(const side *in, const side *out, const filter *l, int k, int s, const finish *f, int from,
                       int to) {
     int taps = (k + s - 1) / s, tiles = least(in->columns, out->columns / s);
     for (int y = from; y < to; y++)
@@ -162,13 +126,12 @@ INLINE void widen_any(const side *in, const side *out, const layer *l, int k, in
         }
 }
 
-/* The kernel of most layers has code of its own, in which the compiler knows its size. */
-#define IS_COMMON(l) ((l)->kernel == 3 && (l)->stride == 2)
-
 /* Rows from .. to of the narrow side (out): convolution without padding. */
-static void narrow_rows(const side *in, const side *out, const layer *l, const finish *f, int from, int to) {
+static void narrow_rows(const side *in, const side *out, const filter *l, const finish *f, int from, int to) {
     int k = l->kernel, s = l->stride;
-    for (int y = from; y < to; y++) {
+    if (l->paired && k == 3) narrow_paired(in, out, l->narrowing, 3, 2, f, from, to);
+    else if (l->paired) narrow_paired(in, out, l->narrowing, 5, 3, f, from, to);
+    else for (int y = from; y < to; y++) {
         int x = 0;
         for (; x + 4 <= out->columns; x += 4) CHANNELS(narrow, 4, x)
         for (; x < out->columns; x++) CHANNELS(narrow, 1, x)
@@ -176,8 +139,9 @@ static void narrow_rows(const side *in, const side *out, const layer *l, const f
 }
 
 /* Rows from .. to of the wide side (out): transposed convolution. */
-static void widen_rows(const side *in, const side *out, const layer *l, const finish *f, int from, int to) {
-    if (IS_COMMON(l)) widen_any(in, out, l, 3, 2, f, from, to);
+static void widen_rows(const side *in, const side *out, const filter *l, const finish *f, int from, int to) {
+    if (l->paired && l->kernel == 3) widen_paired(in, out, l->widening, 3, 2, f, from, to);
+    else if (l->paired) widen_paired(in, out, l->widening, 5, 3, f, from, to);
     else widen_any(in, out, l, l->kernel, l->stride, f, from, to);
 }
 
@@ -239,9 +203,12 @@ INLINE void correlate_any(const side *narrow, const side *wide, int k, int s, ve
         }
 }
 
+/* Columns, and rows, of what a gradient of weights is summed up in. With kernel 5 its own are as fast as paired taps. */
+INLINE int taps_of(const filter *l) { return l->paired && l->kernel == 3 ? TAPS_OF(3, 2) : l->kernel; }
+
 /* sums[a][b][ky][kx] += narrow[a][y][x] wide[b][y s + ky][x s + kx] over rows from .. to of the narrow side. */
-static void correlate_rows(const side *narrow, const side *wide, const layer *l, vec *sums, int from, int to) {
-    if (IS_COMMON(l)) correlate_any(narrow, wide, 3, 2, sums, from, to);
+static void correlate_rows(const side *narrow, const side *wide, const filter *l, vec *sums, int from, int to) {
+    if (taps_of(l) > l->kernel) correlate_paired(narrow, wide, sums, 3, 2, from, to);
     else correlate_any(narrow, wide, l->kernel, l->stride, sums, from, to);
 }
 
@@ -254,8 +221,36 @@ static void add_lanes(const vec *sums, long count, float *out) {
     }
 }
 
-static long weights(const side *narrow, const side *wide, const layer *l) {
-    return (long)narrow->channels * wide->channels * l->kernel * l->kernel;
+static long weights(const side *narrow, const side *wide, const filter *l) {
+    return (long)narrow->channels * wide->channels * taps_of(l) * taps_of(l);
+}
+
+/* The gradient of the weights (narrow channel, wide channel, ky, kx) that correlate_rows has summed up. */
+static void take_gradient(const side *narrow, const side *wide, const filter *l, const vec *sums, float *out) {
+    int count = taps_of(l) * taps_of(l);
+    float taps[TAPS_OF(3, 2) * TAPS_OF(3, 2)];
+    if (taps_of(l) == l->kernel) add_lanes(sums, weights(narrow, wide, l), out);
+    else for (long i = 0; i < (long)narrow->channels * wide->channels; i++) {
+        add_lanes(sums + i * count, count, taps);
+        unpair_taps(taps, 3, 2, out + i * 3 * 3);
+    }
+}
+
+/* What is in `room` is to be freed. A layer without weights, whose gradient is wanted alone, needs none. */
+static filter prepare(const layer *l, const side *narrow, const side *wide) {
+    int k = l->kernel, s = l->stride, n = narrow->channels, w = wide->channels;
+    int paired = ((k == 3 && s == 2) || (k == 5 && s == 3)) && narrow->columns > 1;
+    filter made = {k, s, paired, 0, l->narrowing, l->widening, l->bias, 0};
+    if (!paired || !l->narrowing) return made;
+    long count = taps_before(w, n, k, s);
+    made.room = malloc(sizeof(float) * 2 * count);
+    made.failed = !made.room;
+    if (made.failed) return made;
+    pair_taps(l->narrowing, (long)k * k * n, n, w, n, k, s, made.room);
+    pair_taps(l->widening, (long)k * k * w, w, n, w, k, s, made.room + count);
+    made.narrowing = made.room;
+    made.widening = made.room + count;
+    return made;
 }
 
 static vec *zeros(long count) {
@@ -273,36 +268,38 @@ static side ring(const side *s, int rows) {
     return few;
 }
 
-typedef void rows_of(const side *in, const side *out, const layer *l, const finish *f, int from, int to);
+typedef void rows_of(const side *in, const side *out, const filter *l, const finish *f, int from, int to);
 
-static int whole(rows_of *rows, const side *in, const side *out, const layer *l, int relu, const side *gate,
-                 float *totals) {
+static int whole(rows_of *rows, const side *in, const side *out, filter *l, int relu, const side *gate, float *totals) {
     vec *sums = zeros(out->channels);
-    if (!sums) return -1;
+    int failed = !sums || l->failed;
     finish f = {l->bias, relu, gate, totals ? sums : 0};
-    rows(in, out, l, &f, 0, out->rows);
-    if (totals) add_lanes(sums, out->channels, totals);
+    if (!failed) rows(in, out, l, &f, 0, out->rows);
+    if (!failed && totals) add_lanes(sums, out->channels, totals);
     free(sums);
-    return 0;
+    free(l->room);
+    return -failed;
 }
 
 /* The narrow side = convolution of the wide one. Returns 0, or -1 when memory has run out. */
 int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
-    return whole(narrow_rows, wide, narrow, l, relu, gate, totals);
+    filter own = prepare(l, narrow, wide);
+    return whole(narrow_rows, wide, narrow, &own, relu, gate, totals);
 }
 
 /* The wide side = transposed convolution of the narrow one. Returns 0, or -1 when memory has run out. */
 int widen(const side *narrow, const side *wide, const layer *l, int relu, const side *gate, float *totals) {
-    return whole(widen_rows, narrow, wide, l, relu, gate, totals);
+    filter own = prepare(l, narrow, wide);
+    return whole(widen_rows, narrow, wide, &own, relu, gate, totals);
 }
 
 /* Gradient of a weight: out[a][b][ky][kx] = sum narrow[a][y][x] wide[b][y s + ky][x s + kx]. Returns 0 or -1. */
 int correlate(const side *narrow, const side *wide, const layer *l, float *out) {
-    long count = weights(narrow, wide, l);
-    vec *sums = zeros(count);
+    filter own = prepare(l, narrow, wide);
+    vec *sums = zeros(weights(narrow, wide, &own));
     if (!sums) return -1;
-    correlate_rows(narrow, wide, l, sums, 0, narrow->rows);
-    add_lanes(sums, count, out);
+    correlate_rows(narrow, wide, &own, sums, 0, narrow->rows);
+    take_gradient(narrow, wide, &own, sums, out);
     free(sums);
     return 0;
 }
@@ -404,16 +401,18 @@ static void compare_rows(const side *image, const pictures *p, vec scale, double
     }
 }
 
-/* Rows of the narrow side that are worked off together. */
+/* Rows of the narrow side of the layer next to the image that are worked off together. The layer behind it takes as many
+ * of its narrow side, or twice as many of its wide side: the rows of a pair must be there. */
 #define STRIP 2
+#define WIDE_STRIP (2 * STRIP)
 
 /* Rows of the wide side that the narrow side's rows up to `to` reach. */
-INLINE int reach(const side *narrow, const side *wide, const layer *l, int to) {
+INLINE int reach(const side *narrow, const side *wide, const filter *l, int to) {
     return to < narrow->rows ? (to - 1) * l->stride + l->kernel : wide->rows;
 }
 
 /* Rows of the narrow side whose reach lies within the wide side's rows up to `to`. */
-INLINE int within(const side *narrow, const side *wide, const layer *l, int to) {
+INLINE int within(const side *narrow, const side *wide, const filter *l, int to) {
     if (to >= wide->rows) return narrow->rows;
     return to < l->kernel ? 0 : (to - l->kernel) / l->stride + 1;
 }
@@ -428,11 +427,14 @@ static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p-
  * the second if relu. Without a second one (second->kernel = 0) values are the end, with relu if relu. Returns 0, or -1
  * without memory.
  */
-int look(const pictures *p, const layer *first, const layer *second, const side *values, const side *out, int relu) {
-    int two = second->kernel != 0;
-    side all = image_of(p), image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
+int look(const pictures *p, const layer *near, const layer *far, const side *values, const side *out, int relu) {
+    int two = far->kernel != 0;
+    side all = image_of(p);
+    filter one = prepare(near, values, &all), other = two ? prepare(far, out, values) : (filter){0};
+    const filter *first = &one, *second = &other;
+    side image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
     uint8_t *line = line_of(p);
-    int failed = !image.values || !line;
+    int failed = !image.values || !line || first->failed || second->failed;
     finish f = {first->bias, two || relu, 0, 0}, last = {second->bias, relu, 0, 0};
     for (int from = 0, done = 0, made = 0; from < values->rows && !failed; from += STRIP) {
         int to = least(from + STRIP, values->rows), end = (to - 1) * first->stride + first->kernel;
@@ -441,12 +443,15 @@ int look(const pictures *p, const layer *first, const layer *second, const side 
         narrow_rows(&image, values, first, &f, from, to);
         if (two) {
             int ready = within(out, values, second, to);
+            if (ready - made < STRIP && ready < out->rows) continue;
             narrow_rows(values, out, second, &last, made, ready);
             made = ready;
         }
     }
     free(image.values);
     free(line);
+    free(one.room);
+    free(other.room);
     return -failed;
 }
 
@@ -455,16 +460,19 @@ int look(const pictures *p, const layer *first, const layer *second, const side 
  * values: between the two; slopes: behind the second. Without a second one (values->values = 0) slopes are behind the
  * first, and its bias is left alone. Returns 0, or -1 without memory.
  */
-int look_back(const pictures *p, const layer *first, const layer *second, const side *values, const side *slopes,
+int look_back(const pictures *p, const layer *near, const layer *far, const side *values, const side *slopes,
               float *first_weight, float *first_bias, float *second_weight) {
     int two = values->values != 0;
     const side *between = two ? values : slopes;
-    side all = image_of(p), image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
-    side inner = two ? ring(values, STRIP) : *slopes;
+    side all = image_of(p);
+    filter one = prepare(near, between, &all), other = two ? prepare(far, slopes, values) : (filter){0};
+    const filter *first = &one, *second = &other;
+    side image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
+    side inner = two ? ring(values, WIDE_STRIP) : *slopes;
     long counts[2] = {weights(between, &image, first), two ? weights(slopes, values, second) : 0};
     vec *sums = zeros(counts[0] + counts[1] + between->channels);
     uint8_t *line = line_of(p);
-    int failed = !image.values || !inner.values || !sums || !line;
+    int failed = !image.values || !inner.values || !sums || !line || first->failed || second->failed;
     finish f = {0, 0, values, sums ? sums + counts[0] + counts[1] : 0};
     for (int from = 0, done = 0, seen = 0; from < between->rows && !failed; from += STRIP) {
         int to = least(from + STRIP, between->rows), end = (to - 1) * first->stride + first->kernel;
@@ -472,21 +480,26 @@ int look_back(const pictures *p, const layer *first, const layer *second, const 
         done = end;
         if (two) {
             int ready = within(slopes, values, second, to);
-            correlate_rows(slopes, values, second, sums + counts[0], seen, ready);
-            seen = ready;
-            widen_rows(slopes, &inner, second, &f, from, to);
+            if (ready - seen >= STRIP || ready == slopes->rows) {
+                correlate_rows(slopes, values, second, sums + counts[0], seen, ready);
+                seen = ready;
+            }
+            if (from % WIDE_STRIP == 0)
+                widen_rows(slopes, &inner, second, &f, from, least(from + WIDE_STRIP, between->rows));
         }
         correlate_rows(&inner, &image, first, sums, from, to);
     }
     if (!failed) {
-        add_lanes(sums, counts[0], first_weight);
-        if (two) add_lanes(sums + counts[0], counts[1], second_weight);
+        take_gradient(between, &image, first, sums, first_weight);
+        if (two) take_gradient(slopes, values, second, sums + counts[0], second_weight);
         if (two) add_lanes(f.totals, between->channels, first_bias);
     }
     if (two) free(inner.values);
     free(image.values);
     free(sums);
     free(line);
+    free(one.room);
+    free(other.room);
     return -failed;
 }
 
@@ -504,19 +517,23 @@ typedef struct {
  * not positive, if relu. Without a layer before the last one (before->kernel = 0) values are the last layer's input.
  * Returns 0, or -1 without memory.
  */
-int reconstruct(const side *values, const layer *last, const layer *before, const side *between, const pictures *p,
+int reconstruct(const side *values, const layer *near, const layer *far, const side *between, const pictures *p,
                 const float *scale, int relu, const gradients *g) {
-    int two = before->kernel != 0;
+    int two = far->kernel != 0;
     const side *middle = two ? between : values;
+    side all = image_of(p);
+    filter one = prepare(near, middle, &all), other = two ? prepare(far, values, middle) : (filter){0};
+    const filter *last = &one, *before = &other;
     /* A kernel smaller than its stride leaves rows between the strips, and behind the last. */
     int high = STRIP * last->stride + (last->kernel > last->stride ? last->kernel : last->stride) - 1;
     int deep = ((STRIP - 1) * last->stride + last->kernel - 1) / last->stride + 1;
-    side all = image_of(p), image = ring(&all, high);
-    side inner = two ? ring(middle, deep) : *values, flow = two ? ring(middle, STRIP + before->kernel) : *g->slopes;
+    side image = ring(&all, high);
+    side inner = two ? ring(middle, deep + WIDE_STRIP - 1) : *values;
+    side flow = two ? ring(middle, STRIP + before->kernel + before->stride) : *g->slopes;
     long counts[2] = {weights(middle, &image, last), two ? weights(values, middle, before) : 0};
     vec *sums = zeros(counts[0] + counts[1] + p->channels + middle->channels + values->channels);
     uint8_t *line = line_of(p);
-    int failed = !image.values || !inner.values || !flow.values || !sums || !line;
+    int failed = !image.values || !inner.values || !flow.values || !sums || !line || last->failed || before->failed;
     vec *image_totals = sums + counts[0] + counts[1];
     vec *middle_totals = image_totals + p->channels, *totals = middle_totals + middle->channels;
     double errors[LANES] = {0};
@@ -528,8 +545,11 @@ int reconstruct(const side *values, const layer *last, const layer *before, cons
         int to = least(from + STRIP, middle->rows), end = reach(middle, &image, last, to);
         if (two) {
             int needed = least((end - 1) / last->stride + 1, middle->rows);
-            widen_rows(values, &inner, before, &rising, made, needed);
-            made = needed;
+            if (made < needed) {
+                int more = least(made + WIDE_STRIP > needed ? made + WIDE_STRIP : needed, middle->rows);
+                widen_rows(values, &inner, before, &rising, made, more);
+                made = more;
+            }
         }
         widen_rows(&inner, &image, last, &plain, done, end);
         compare_rows(&image, p, factor, errors, image_totals, line, done, end);
@@ -538,6 +558,7 @@ int reconstruct(const side *values, const layer *last, const layer *before, cons
         narrow_rows(&image, &flow, last, &falling, from, to);
         if (two) {
             int ready = within(values, middle, before, to);
+            if (ready - seen < STRIP && ready < values->rows) continue;
             correlate_rows(values, &flow, before, sums + counts[0], seen, ready);
             narrow_rows(&flow, g->slopes, before, &ending, seen, ready);
             seen = ready;
@@ -545,9 +566,9 @@ int reconstruct(const side *values, const layer *last, const layer *before, cons
     }
     if (!failed) {
         for (int lane = 0; lane < LANES; lane++) g->errors[lane] = (float)errors[lane];
-        add_lanes(sums, counts[0], g->last_weight);
+        take_gradient(middle, &image, last, sums, g->last_weight);
         add_lanes(image_totals, p->channels, g->last_bias);
-        if (two) add_lanes(sums + counts[0], counts[1], g->before_weight);
+        if (two) take_gradient(values, middle, before, sums + counts[0], g->before_weight);
         if (two) add_lanes(middle_totals, middle->channels, g->before_bias);
         add_lanes(two ? totals : middle_totals, values->channels, g->totals);
     }
@@ -556,6 +577,8 @@ int reconstruct(const side *values, const layer *last, const layer *before, cons
     free(image.values);
     free(sums);
     free(line);
+    free(one.room);
+    free(other.room);
     return -failed;
 }
 
