@@ -101,6 +101,11 @@ INLINE void narrow_part(vec (*sum)[WIDTH], const vec *const *rows, long plane, i
     }
 }
 
+/* What is done on the way forward, in such a form that the compiler knows of neither gate nor totals. */
+INLINE finish forward(const finish *f) { return (finish){f->bias, f->relu, 0, 0}; }
+
+INLINE int is_forward(const finish *f) { return !f->gate && !f->totals; }
+
 /* n channels from o on of a tile: columns x and x + 1 of row y, or of two rows. Those before `done` are in the totals
  * already. lines: the rows of the wide side that are needed. */
 INLINE void narrow_tile(const side *in, const vec *const *lines, const side *out, const float *taps, const finish *f,
@@ -132,7 +137,7 @@ INLINE void narrow_tile(const side *in, const vec *const *lines, const side *out
 
 /* Columns for which some channels are made before the next ones: few, so that the wide side stays in the first cache, or
  * all where the taps would not. */
-#define BLOCK 8
+#define BLOCK 16
 #define FEW_TAPS 4096
 
 INLINE int block_of(const side *in, const side *out, int columns, int k, int s) {
@@ -143,6 +148,7 @@ INLINE int block_of(const side *in, const side *out, int columns, int k, int s) 
 INLINE void narrow_paired(const side *in, const side *out, const float *taps, int k, int s, const finish *f, int from,
                           int to) {
     int block = block_of(in, out, out->columns, k, s);
+    const finish simple = forward(f);
     for (int y = from, height; y < to; y += height) {
         height = least(2, to - y);
         const vec *lines[MOST_ROWS];
@@ -152,7 +158,9 @@ INLINE void narrow_paired(const side *in, const side *out, const float *taps, in
                 n = width(out->channels - o);
                 for (int done = begin; done < begin + block && done < out->columns; done += 2) {
                     int x = least(done, out->columns - 2); /* the last tile may overlap the one before */
-                    if (n == 5) narrow_tile(in, lines, out, taps, f, k, s, 5, o, y, height, x, done);
+                    if (n == 5 && is_forward(f))
+                        narrow_tile(in, lines, out, taps, &simple, k, s, 5, o, y, height, x, done);
+                    else if (n == 5) narrow_tile(in, lines, out, taps, f, k, s, 5, o, y, height, x, done);
                     else if (n == 3) narrow_tile(in, lines, out, taps, f, k, s, 3, o, y, height, x, done);
                     else narrow_tile(in, lines, out, taps, f, k, s, 1, o, y, height, x, done);
                 }
@@ -160,8 +168,9 @@ INLINE void narrow_paired(const side *in, const side *out, const float *taps, in
     }
 }
 
-/* One input channel of one row. Columns of the tile: if the phase has a pair of taps, sum[phase] + sum[s + phase] and, a
- * stride further, sum[s + phase] + sum[2 s + phase]; otherwise sum[phase] and sum[2 s + phase]. Phases from begin to end. Only a tile inside has all its neighbours x - 1, x and x + 1 among the columns. */
+/* One input channel of one row, phases from begin to end. Columns of the tile: with a pair of taps of the phase they are
+ * sum[phase] + sum[s + phase] and, a stride further, sum[s + phase] + sum[2 s + phase]; otherwise sum[phase] and
+ * sum[2 s + phase]. Only a tile inside has all its neighbours x - 1, x and x + 1 among the columns. */
 INLINE void widen_line(vec (*sum)[WIDTH], const vec *plus, int is_difference, const vec *minus, const float *tap,
                        int k, int s, int n, int begin, int end, int inside, int x, int columns) {
     vec left = {0}, middle = {0}, right = {0};
@@ -262,10 +271,12 @@ INLINE void widen_tile(const side *in, const side *out, const float *taps, const
 INLINE void widen_tiles(const side *in, const side *out, const float *taps, const finish *f, const recipe *r, int k,
                         int s, int n, int begin, int end, int o, int from, int to) {
     int last = (out->columns + s - 1) / s - 2;
+    const finish simple = forward(f);
     for (int done = from; done < to; done += 2) {
         int x = least(done, last); /* the last tile may overlap the one before */
-        if (x > 0 && x + 1 < in->columns && (x + 2) * s <= out->columns)
-            widen_tile(in, out, taps, f, r, k, s, n, begin, end, 1, o, x, done);
+        int inside = x > 0 && x + 1 < in->columns && (x + 2) * s <= out->columns;
+        if (inside && is_forward(f)) widen_tile(in, out, taps, &simple, r, k, s, n, begin, end, 1, o, x, done);
+        else if (inside) widen_tile(in, out, taps, f, r, k, s, n, begin, end, 1, o, x, done);
         else widen_tile(in, out, taps, f, r, k, s, n, begin, end, 0, o, x, done);
     }
 }
