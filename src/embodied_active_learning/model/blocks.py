@@ -1,137 +1,130 @@
-"""Strided convolutions rewritten as stride-one convolutions over blocks of pixels, the form that CPUs compute quickly.
+"""Strided convolutions rewritten as stride-one convolutions over parts of an image, the form that CPUs compute quickly.
 
-A stride-s convolution reads s x s blocks; with each block's pixels moved into the channels (space to depth) it becomes
-an ordinary convolution with a kernel of ceil(k / s) blocks. A transposed one writes blocks (depth to space). The
-weights are re-indexed within the graph, so gradients arrive at the network's own parameters. Everything here is exact.
+Part r of an image, of as many as the stride s, is each s-th row from row r on, with s neighbouring pixels side by side
+as channels of a block: in memory nothing but rows of pixels. A stride-s convolution is the sum of ordinary ones over
+the parts, with kernels of ceil((k - r) / s) x ceil(k / s) blocks; a transposed one yields the parts. Everything here is
+exact.
 
-Images are (B, H, W, C) in memory. Blocks are (B, rows, columns, s * s * C), ordered (dy, dx, channel).
+Images are (B, H, W, C) in memory. The wide side of a layer is the one next to the camera's image, the narrow side the
+one next to the features, in the encoder as in the decoder.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, List, Optional, Sequence, Tuple
 
 import torch
-from torch import nn
 from torch.nn import functional
+from torch.nn.grad import conv2d_weight
 
 Size = Tuple[int, int]
 
 
-class Kernel(NamedTuple):
-    """Weight (O, C, k', k') and bias (O,) of a stride-one convolution over blocks."""
+class BlockLayer:
+    """A strided convolution from a wide image to a narrow one, its transpose, and the gradients of both.
 
-    weight: torch.Tensor
-    bias: torch.Tensor
-
-
-def space_to_depth(images: torch.Tensor, stride: int) -> torch.Tensor:
-    """(B, rows * s, columns * s, C) -> (B, rows, columns, s * s * C)."""
-    batch, height, width, channels = images.shape
-    cells = images.reshape(batch, height // stride, stride, width // stride, stride * channels)
-    # Row by row of the block: a transpose does the same, but takes three times as long on bytes.
-    return torch.cat(cells.unbind(2), dim=-1)
-
-
-def depth_to_space(blocks: torch.Tensor, stride: int) -> torch.Tensor:
-    """(B, rows, columns, s * s * C) -> (B, rows * s, columns * s, C)."""
-    batch, rows, columns, depth = blocks.shape
-    cells = blocks.reshape(batch, rows, columns, stride, stride, depth // (stride * stride))
-    return cells.transpose(2, 3).reshape(batch, rows * stride, columns * stride, -1)
-
-
-def convolution_kernel(layer: nn.Conv2d) -> Kernel:
-    """The layer's weight (O, C, k, k) over blocks: (O, s * s * C, k', k') with zeros where k' * s exceeds k."""
-    kernel, stride = layer.kernel_size[0], layer.stride[0]
-    blocks = -(-kernel // stride)
-    padded = functional.pad(layer.weight, (0, blocks * stride - kernel) * 2)
-    cells = padded.unflatten(3, (blocks, stride)).unflatten(2, (blocks, stride))  # (O, C, by, dy, bx, dx)
-    weight = cells.permute(0, 3, 5, 1, 2, 4).flatten(1, 3)
-    return Kernel(weight.contiguous(memory_format=torch.channels_last), layer.bias)
-
-
-def transposed_kernel(layer: nn.ConvTranspose2d) -> Kernel:
-    """The layer's weight (C, O, k, k) as an ordinary convolution that yields blocks: (s * s * O, C, k', k')."""
-    kernel, stride = layer.kernel_size[0], layer.stride[0]
-    blocks = _transposed_blocks(layer)
-    padded = functional.pad(layer.weight, (0, blocks * stride - kernel) * 2)
-    cells = padded.unflatten(3, (blocks, stride)).unflatten(2, (blocks, stride))  # (C, O, by, dy, bx, dx)
-    # Transposing turns the kernel round: block b of the output is reached from b blocks before it.
-    weight = cells.permute(3, 5, 1, 0, 2, 4).flatten(0, 2).flip(2, 3)
-    return Kernel(weight.contiguous(memory_format=torch.channels_last), layer.bias.repeat(stride * stride))
-
-
-def _transposed_blocks(layer: nn.ConvTranspose2d) -> int:
-    reach = layer.kernel_size[0] + max(layer.output_padding)
-    return -(-reach // layer.stride[0])
-
-
-class BlockEncoder:
-    """The image encoder's convolutions over blocks.
-
-    Each stage computes as many rows as fill the next one's blocks; the surplus meets weights that are zero.
+    Narrow images are kept on a grid (B, rows, columns, O) that ends in zeros where the wide image goes on behind the
+    reach of the last kernel. Parts are (B, rows, columns, C) of whole blocks, with a surplus of zeros behind the image.
+    Weights are (O, C, k, k) both ways: O channels on the narrow side, C on the wide side.
     """
 
-    def __init__(self, layers: Sequence[nn.Conv2d], output_size: Size) -> None:
-        self._strides = [layer.stride[0] for layer in layers]
-        size = output_size
-        for layer in reversed(layers):
-            reach = -(-layer.kernel_size[0] // layer.stride[0]) - 1
-            size = tuple((length + reach) * layer.stride[0] for length in size)
-        self._input_size: Size = size
+    def __init__(self, wide: Size, narrow: Size, kernel: int, stride: int) -> None:
+        """wide, narrow: (height, width) of the images on both sides."""
+        self._wide, self._narrow, self._kernel, self._stride = wide, narrow, kernel, stride
+        self._blocks = -(-kernel // stride)
+        self._reach = (max(kernel, stride), self._blocks * stride)
+        sides = zip(wide, narrow, self._reach)
+        self.grid: Size = tuple(few + (many > (few - 1) * stride + reach) for many, few, reach in sides)
 
-    def __call__(self, images: torch.Tensor, kernels: Sequence[Kernel]) -> torch.Tensor:
-        """Images (B, H, W, 3) uint8 -> (B, C, rows, columns) before the flattening."""
-        height, width = (wanted - given for wanted, given in zip(self._input_size, images.shape[1:3]))
-        pixels = functional.pad(images, (0, 0, 0, width, 0, height))
-        values = space_to_depth(pixels, self._strides[0]).to(kernels[0].weight.dtype).div_(255.0)
-        for kernel, stride in zip(kernels, self._strides[1:]):
-            values = functional.relu_(functional.conv2d(values.permute(0, 3, 1, 2), *kernel))
-            values = space_to_depth(values.permute(0, 2, 3, 1), stride)
-        return functional.conv2d(values.permute(0, 3, 1, 2), *kernels[-1])
+    def kernels(self, weight: torch.Tensor) -> List[torch.Tensor]:
+        """The weight for each part: (O, s * C, rows, blocks), with zeros outside the kernel."""
+        height, width = (reach - self._kernel for reach in self._reach)
+        padded = functional.pad(weight, (0, width, 0, height)).unflatten(3, (self._blocks, self._stride))
+        cells = padded.permute(0, 4, 1, 2, 3).flatten(1, 2)
+        parts = (cells[:, :, row :: self._stride] for row in range(self._stride))
+        return [part.contiguous(memory_format=torch.channels_last) for part in parts]
 
+    def contract(
+        self, parts: Sequence[torch.Tensor], kernels: Sequence[torch.Tensor], bias: Optional[torch.Tensor] = None
+    ) -> torch.Tensor:
+        """The convolution of the image with these parts -> (B, *grid, O)."""
+        result = functional.conv2d(self._in_blocks(parts[0]), kernels[0], bias)
+        for part, kernel in zip(parts[1:], kernels[1:]):
+            result += functional.conv2d(self._in_blocks(part), kernel)
+        return result.permute(0, 2, 3, 1)
 
-class BlockDecoder:
-    """The image decoder's transposed convolutions over blocks; the last stage's result stays in blocks."""
+    def expand(
+        self, narrow: torch.Tensor, kernels: Sequence[torch.Tensor], bias: Optional[torch.Tensor] = None
+    ) -> List[torch.Tensor]:
+        """The transposed convolution of (B, *grid, O) -> parts, the bias (C,) included; their surplus is undefined."""
+        biases = None if bias is None else bias.repeat(self._stride)
+        parts = []
+        for kernel in kernels:
+            # Transposing turns the kernel round: block b of the result is reached from b blocks before it.
+            turned = kernel.transpose(0, 1).flip(2, 3).contiguous(memory_format=torch.channels_last)
+            padding = (kernel.shape[2] - 1, kernel.shape[3] - 1)
+            blocks = functional.conv2d(narrow.permute(0, 3, 1, 2), turned, biases, padding=padding)
+            parts.append(blocks.permute(0, 2, 3, 1).unflatten(3, (self._stride, -1)).flatten(2, 3))
+        return parts
 
-    def __init__(self, layers: Sequence[nn.ConvTranspose2d], sizes: Sequence[Size]) -> None:
-        """Take over the geometry. sizes: (height, width) of each stage's input, and of the image."""
-        self._sizes = list(sizes)
-        self._strides = [layer.stride[0] for layer in layers]
-        self._paddings = [_transposed_blocks(layer) - 1 for layer in layers]
-        self._inside = self._mask()
+    def weight_gradient(self, parts: Sequence[torch.Tensor], narrow: torch.Tensor) -> torch.Tensor:
+        """(O, C, k, k) from values on one side and gradients on the other, whichever way the layer was used."""
+        channels, features = parts[0].shape[3], narrow.shape[3]
+        gradient = narrow.new_empty((features, channels, self._kernel, self._kernel))
+        for row, part in enumerate(parts):
+            wanted = gradient[:, :, row :: self._stride]
+            rows = part.shape[1] - narrow.shape[1] + 1
+            shape = (features, self._stride * channels, rows, self._blocks)
+            found = conv2d_weight(self._in_blocks(part), shape, narrow.permute(0, 3, 1, 2))
+            cells = found.unflatten(1, (self._stride, channels)).permute(0, 2, 3, 4, 1).flatten(3)
+            wanted.copy_(cells[:, :, : wanted.shape[2], : self._kernel])
+        return gradient
 
-    def __call__(self, features: torch.Tensor, kernels: Sequence[Kernel]) -> torch.Tensor:
-        """Features (B, C, rows, columns) -> image in blocks (B, rows', columns', s * s * 3), rows' * s >= H."""
-        values = features
-        for index, kernel in enumerate(kernels):
-            if index:
-                height, width = self._sizes[index]
-                spread = depth_to_space(values, self._strides[index - 1])[:, :height, :width]
-                values = functional.relu(spread).permute(0, 3, 1, 2)
-            values = functional.conv2d(values, *kernel, padding=self._paddings[index]).permute(0, 2, 3, 1)
-        return values
+    def split(self, wide: torch.Tensor, dtype: torch.dtype) -> List[torch.Tensor]:
+        """The parts of a wide image (B, >= H, >= W, C)."""
+        columns = (self.grid[1] - 1 + self._blocks) * self._stride
+        rows = (self.grid[0] - 1 - (row - self._reach[0]) // self._stride for row in range(self._stride))
+        parts = [wide.new_empty((len(wide), count, columns, wide.shape[3]), dtype=dtype) for count in rows]
+        for part, pixels in self.pairs(parts, wide):
+            part.copy_(pixels)
+        self.clear_surplus(parts)
+        return parts
 
-    def compare(
-        self, decoded: torch.Tensor, images: torch.Tensor, weights: torch.Tensor
-    ) -> Tuple[torch.Tensor, torch.Tensor]:
-        """Mean squared error e (B,) of decoded blocks against images (B, H, W, 3) uint8, and d(sum w e)/d decoded."""
-        count = images[0].numel()
-        residual = decoded - self._blocks_of(images).to(decoded.dtype).div_(255.0)
-        if self._inside is not None:
-            residual *= self._inside.to(residual.dtype)
-        flat = residual.flatten(1)
-        errors = torch.linalg.vecdot(flat, flat) / count
-        return errors, residual.mul_((2.0 / count * weights)[:, None, None, None])
+    def join(self, parts: Sequence[torch.Tensor], size: Size) -> torch.Tensor:
+        """The wide image with these parts, continued by zeros to the size (height, width) -> (B, *size, C)."""
+        wide = parts[0].new_zeros((len(parts[0]), *size, parts[0].shape[3]))
+        for part, pixels in self.pairs(parts, wide):
+            pixels.copy_(part)
+        return wide
 
-    def _blocks_of(self, images: torch.Tensor) -> torch.Tensor:
-        """Images in the layout of the result, filled up with zeros; same type."""
-        stride, padding = self._strides[-1], self._paddings[-1]
-        whole = [(length + padding) * stride for length in self._sizes[-2]]
-        height, width = (wanted - given for wanted, given in zip(whole, self._sizes[-1]))
-        return space_to_depth(functional.pad(images, (0, 0, 0, width, 0, height)), stride)
+    def pairs(
+        self, parts: Sequence[torch.Tensor], wide: torch.Tensor
+    ) -> Iterator[Tuple[torch.Tensor, torch.Tensor]]:
+        """Each part without its surplus, and the same pixels of the wide image (B, >= H, >= W, C): views."""
+        height, width = self._wide
+        for row, part in enumerate(parts):
+            pixels = wide[:, row : height : self._stride, :width]
+            common = part[:, : pixels.shape[1], : pixels.shape[2]]
+            yield common, pixels[:, : common.shape[1], : common.shape[2]]
 
-    def _mask(self) -> Optional[torch.Tensor]:
-        """(1, rows, columns, s * s * 3) of what lies inside the image, or None if everything does."""
-        inside = self._blocks_of(torch.ones((1, *self._sizes[-1], 3), dtype=torch.uint8))
-        return None if bool(inside.all()) else inside
+    def clear_surplus(self, parts: Sequence[torch.Tensor]) -> None:
+        """Set to zero what lies behind the wide image."""
+        height, width = self._wide
+        for row, part in enumerate(parts):
+            part[:, len(range(row, height, self._stride)) :].zero_()
+            part[:, :, width:].zero_()
+
+    def on_grid(self, narrow: torch.Tensor) -> torch.Tensor:
+        """(B, O, h, w) -> (B, *grid, O)."""
+        grid = narrow.new_zeros((len(narrow), *self.grid, narrow.shape[1]))
+        self.off_grid(grid).copy_(narrow)
+        return grid
+
+    def off_grid(self, grid: torch.Tensor) -> torch.Tensor:
+        """(B, *grid, O) -> (B, O, h, w): a view."""
+        height, width = self._narrow
+        return grid[:, :height, :width].permute(0, 3, 1, 2)
+
+    def _in_blocks(self, part: torch.Tensor) -> torch.Tensor:
+        """(B, rows, columns, C) -> (B, s * C, rows, blocks): a view."""
+        return part.unflatten(2, (-1, self._stride)).flatten(3).permute(0, 3, 1, 2)
