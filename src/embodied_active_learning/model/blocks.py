@@ -97,9 +97,7 @@ class BlockLayer:
             pixels.copy_(part)
         return wide
 
-    def pairs(
-        self, parts: Sequence[torch.Tensor], wide: torch.Tensor
-    ) -> Iterator[Tuple[torch.Tensor, torch.Tensor]]:
+    def pairs(self, parts: Sequence[torch.Tensor], wide: torch.Tensor) -> Iterator[Tuple[torch.Tensor, torch.Tensor]]:
         """Each part without its surplus, and the same pixels of the wide image (B, >= H, >= W, C): views."""
         height, width = self._wide
         for row, part in enumerate(parts):
