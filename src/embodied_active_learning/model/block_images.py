@@ -115,9 +115,7 @@ class _Encoder:
         inputs: List[Parts] = []
         values = pixels
         for layer, kernels, bias in zip(self._layers, self._kernels, self._biases):
-            if inputs:
-                values.relu_()
-            inputs.append(layer.split(values, bias.dtype))
+            inputs.append(layer.split(values, bias.dtype, relu=bool(inputs)))
             values = layer.contract(inputs[-1], kernels, bias)
         return self._layers[-1].off_grid(values), inputs
 
@@ -162,7 +160,7 @@ class _Decoder:
         parts = self._layers[0].expand(inputs[0], self._kernels[0], self._biases[0])
         for index in range(1, len(self._layers)):
             layer, before = self._layers[index], self._layers[index - 1]
-            inputs.append(before.join([part.relu_() for part in parts], layer.grid))
+            inputs.append(before.join(parts, layer.grid, relu=True))
             parts = layer.expand(inputs[-1], self._kernels[index], self._biases[index])
         return inputs, parts
 
@@ -174,7 +172,7 @@ class _Decoder:
         image.clear_surplus(parts)
         errors = sum(torch.linalg.vector_norm(part.flatten(1), dim=1).square() for part in parts) / count
         for part in parts:
-            part *= (2.0 / count * weights)[:, None, None, None]
+            part.mul_((2.0 / count * weights)[:, None, None, None])
         return errors
 
     def _differentiate(self, inputs: Sequence[torch.Tensor], slopes: Parts) -> List[torch.Tensor]:
@@ -186,7 +184,7 @@ class _Decoder:
             gradients[:0] = layer.weight_gradient(slopes, values), bias
             slope = layer.contract(slopes, self._kernels[index])
             if index:
-                slopes = self._layers[index - 1].split(slope.mul_(values.sign()), slope.dtype)
+                slopes = self._layers[index - 1].split(slope.mul_(values.sign_()), slope.dtype)
         return [layer.off_grid(slope), *gradients]
 
 

@@ -80,21 +80,24 @@ class BlockLayer:
             wanted.copy_(cells[:, :, : wanted.shape[2], : self._kernel])
         return gradient
 
-    def split(self, wide: torch.Tensor, dtype: torch.dtype) -> List[torch.Tensor]:
-        """The parts of a wide image (B, >= H, >= W, C)."""
+    def split(self, wide: torch.Tensor, dtype: torch.dtype, relu: bool = False) -> List[torch.Tensor]:
+        """The parts of a wide image (B, >= H, >= W, C), with negative values set to zero on the way or not."""
         columns = (self.grid[1] - 1 + self._blocks) * self._stride
         rows = (self.grid[0] - 1 - (row - self._reach[0]) // self._stride for row in range(self._stride))
         parts = [wide.new_empty((len(wide), count, columns, wide.shape[3]), dtype=dtype) for count in rows]
         for part, pixels in self.pairs(parts, wide):
-            part.copy_(pixels)
+            _move(pixels, part, relu)
         self.clear_surplus(parts)
         return parts
 
-    def join(self, parts: Sequence[torch.Tensor], size: Size) -> torch.Tensor:
+    def join(self, parts: Sequence[torch.Tensor], size: Size, relu: bool = False) -> torch.Tensor:
         """The wide image with these parts, continued by zeros to the size (height, width) -> (B, *size, C)."""
-        wide = parts[0].new_zeros((len(parts[0]), *size, parts[0].shape[3]))
+        wide = parts[0].new_empty((len(parts[0]), *size, parts[0].shape[3]))
         for part, pixels in self.pairs(parts, wide):
-            pixels.copy_(part)
+            _move(part, pixels, relu)
+        height, width = self._wide
+        wide[:, height:].zero_()
+        wide[:, :, width:].zero_()
         return wide
 
     def pairs(self, parts: Sequence[torch.Tensor], wide: torch.Tensor) -> Iterator[Tuple[torch.Tensor, torch.Tensor]]:
@@ -126,3 +129,10 @@ class BlockLayer:
     def _in_blocks(self, part: torch.Tensor) -> torch.Tensor:
         """(B, rows, columns, C) -> (B, s * C, rows, blocks): a view."""
         return part.unflatten(2, (-1, self._stride)).flatten(3).permute(0, 3, 1, 2)
+
+
+def _move(source: torch.Tensor, target: torch.Tensor, relu: bool) -> None:
+    if relu:
+        torch.clamp(source, min=0.0, out=target)
+    else:
+        target.copy_(source)
