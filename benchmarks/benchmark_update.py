@@ -85,7 +85,7 @@ def update_section(arguments: argparse.Namespace) -> Section:
 
     def prepare(name: str) -> None:
         """Threads and memory of the variant, and an update that is not counted to get used to them."""
-        torch.set_num_threads(chosen.arithmetic.torch_threads if name == CHOSEN else threads)
+        torch.set_num_threads(threads if name in (PLAIN, KEPT) else chosen.arithmetic.torch_threads)
         handle_memory(keep=name != PLAIN)
         variants[name]()
 

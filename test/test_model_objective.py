@@ -5,11 +5,13 @@ import math
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch.nn import functional
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.block_images import BlockImages
+from embodied_active_learning.model.blocks import BlockLayer
 from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian
 from embodied_active_learning.model.fast import FastLoss, fastest_loss
@@ -100,6 +102,40 @@ def test_the_loss_over_blocks_has_the_plain_gradients_to_double_precision(image_
     fast, found = gradients(FastLoss(BlockImages(network)), network, *arguments)
     assert torch.allclose(torch.stack(fast[:4]), torch.stack(plain[:4]), rtol=1e-12)
     assert max(relative_errors(found, expected)) < 1e-12
+
+
+@settings(deadline=None)
+@given(
+    kernel=st.integers(1, 5),
+    stride=st.integers(1, 4),
+    narrow=st.tuples(st.integers(1, 4), st.integers(1, 4)),
+    data=st.data(),
+)
+def test_convolutions_over_parts_are_those_of_torch_both_ways_whatever_the_geometry(kernel, stride, narrow, data):
+    rest = data.draw(st.tuples(st.integers(0, stride - 1), st.integers(0, stride - 1)))
+    wide = tuple((few - 1) * stride + kernel + more for few, more in zip(narrow, rest))
+    torch.manual_seed(0)
+    weight = torch.randn(3, 2, kernel, kernel, dtype=torch.float64, requires_grad=True)
+    few, many = torch.randn(2, 3, *narrow).double(), torch.randn(2, 2, *wide).double()
+    layer = BlockLayer(wide, narrow, kernel, stride)
+    kernels = layer.kernels(weight.detach())
+    parts = layer.split(many.permute(0, 2, 3, 1), torch.float64)
+    there = functional.conv2d(many, weight, weight[:, 0, 0, 0], stride)
+    assert torch.allclose(layer.off_grid(layer.contract(parts, kernels, weight[:, 0, 0, 0])), there)
+    back = functional.conv_transpose2d(few, weight, weight[0, :, 0, 0], stride, output_padding=rest)
+    spread = layer.expand(layer.on_grid(few), kernels, weight[0, :, 0, 0])
+    assert torch.allclose(layer.join(spread, wide), back.permute(0, 2, 3, 1))
+    (gradient,) = torch.autograd.grad(functional.conv2d(many, weight, None, stride), weight, few)
+    assert torch.allclose(layer.weight_gradient(parts, layer.on_grid(few)), gradient)
+
+
+def test_the_loss_over_blocks_is_the_same_to_the_last_bit_whichever_thread_is_free():
+    network, pair, noise = make((45, 45), ModelConfig(), 60)
+    fast = FastLoss(BlockImages(network))
+    _, expected = gradients(fast, network, pair, noise, 1e-3, 0.07)
+    for _ in range(5):
+        _, found = gradients(fast, network, pair, noise, 1e-3, 0.07)
+        assert all(map(torch.equal, found, expected))
 
 
 def compare_in_single_precision(loss, network, pair, noise):

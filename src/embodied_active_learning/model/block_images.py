@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, List, Optional, Sequence, Tuple
 
 import torch
 from torch import nn
@@ -17,6 +17,9 @@ Parts = List[torch.Tensor]
 
 WHITE = 255.0  # of a byte
 CHUNK = 16  # images at a time: little enough to stay in the cache, enough to outweigh torch's work for each call
+
+PARTS = 2  # of a layer's product for each thread
+LARGE = 2**16  # weights of a layer that is worth dividing
 
 
 class BlockImages:
@@ -32,7 +35,8 @@ class BlockImages:
         convolutions = [layer for layer in network.image_encoder if isinstance(layer, nn.Conv2d)]
         geometry = zip(network.sizes, network.sizes[1:], convolutions)
         self.layers = [BlockLayer(wide, narrow, part.kernel_size[0], part.stride[0]) for wide, narrow, part in geometry]
-        self._pool = ThreadPoolExecutor(torch.get_num_threads(), "blocks", torch.set_num_threads, (1,))
+        self._threads = torch.get_num_threads()
+        self._pool = ThreadPoolExecutor(self._threads, "blocks", torch.set_num_threads, (1,))
 
     def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
         """Images (B, H, W, 3) uint8 -> features (B, F)."""
@@ -45,14 +49,21 @@ class BlockImages:
         features = features.unflatten(1, network.feature_shape)
         return _WeightedErrors.apply(self, images, features, weights, *network.image_decoder.parameters())
 
-    @staticmethod
-    def linear(layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
+    def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
         """layer(inputs), inputs (B, I) -> (B, O)."""
-        return layer(inputs)
+        if layer.weight.numel() < LARGE:
+            return layer(inputs)
+        return _Linear.apply(self, inputs, layer.weight, layer.bias)
 
-    def for_each_chunk(self, task: Callable[..., Tuple], *batches: Sequence) -> Iterator[Tuple]:
-        """task(a chunk of each batch) -> what it returns for all chunks, one tuple for each of its results."""
-        return zip(*self._pool.map(torch.no_grad()(task), *batches))
+    def share(self, task: Callable[..., Any], *arguments: Iterable) -> List[Any]:
+        """[task(*first arguments), task(*second arguments), ...], each by whichever thread is free."""
+        return list(self._pool.map(torch.no_grad()(task), *arguments))
+
+    def parts(self, count: int) -> List[slice]:
+        """range(count) in parts, more than there are threads: when one is held up, the others take over."""
+        parts = PARTS * self._threads
+        bounds = [count * part // parts for part in range(parts + 1)]
+        return [slice(*pair) for pair in zip(bounds, bounds[1:])]
 
 
 class _Features(torch.autograd.Function):
@@ -61,7 +72,7 @@ class _Features(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: BlockImages, pixels: torch.Tensor, *parameters: torch.Tensor) -> torch.Tensor:
         encoder = _Encoder(images.layers, parameters)
-        features, ctx.inputs = images.for_each_chunk(encoder.encode, pixels.split(CHUNK))
+        features, ctx.inputs = zip(*images.share(encoder.encode, pixels.split(CHUNK)))
         ctx.images = images
         ctx.save_for_backward(*parameters)
         return torch.cat(features)
@@ -70,8 +81,8 @@ class _Features(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
         encoder = _Encoder(ctx.images.layers, ctx.saved_tensors)
-        gradients = ctx.images.for_each_chunk(encoder.differentiate, upstream.split(CHUNK), ctx.inputs)
-        return (None, None, *map(sum, gradients))
+        gradients = ctx.images.share(encoder.differentiate, upstream.split(CHUNK), ctx.inputs)
+        return (None, None, *map(sum, zip(*gradients)))
 
 
 class _WeightedErrors(torch.autograd.Function):
@@ -88,7 +99,7 @@ class _WeightedErrors(torch.autograd.Function):
     ) -> Tuple[torch.Tensor, torch.Tensor]:
         decoder = _Decoder(images.layers, parameters)
         batches = (batch.split(CHUNK) for batch in (features, pixels, weights))
-        errors, slopes, *gradients = images.for_each_chunk(decoder.errors, *batches)
+        errors, slopes, *gradients = zip(*images.share(decoder.errors, *batches))
         errors = torch.cat(errors)
         ctx.save_for_backward(torch.cat(slopes), errors, *map(sum, gradients))
         ctx.mark_non_differentiable(errors)
@@ -97,6 +108,31 @@ class _WeightedErrors(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, upstream: torch.Tensor, _: torch.Tensor) -> Gradients:
         return (None, None, *(upstream * gradient for gradient in ctx.saved_tensors))
+
+
+class _Linear(torch.autograd.Function):
+    """A large layer, its products divided among the threads."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, images: BlockImages, inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
+    ) -> torch.Tensor:
+        out = inputs.new_empty((len(inputs), len(weight)))
+        parts = images.parts(len(weight))
+        images.share(lambda part: torch.addmm(bias[part], inputs, weight[part].t(), out=out[:, part]), parts)
+        ctx.images = images
+        ctx.save_for_backward(inputs, weight)
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
+        images, (inputs, weight) = ctx.images, ctx.saved_tensors
+        slopes, gradient = torch.empty_like(inputs), torch.empty_like(weight)
+        columns, rows = images.parts(inputs.shape[1]), images.parts(len(weight))
+        images.share(lambda part: torch.mm(upstream, weight[:, part], out=slopes[:, part]), columns)
+        images.share(lambda part: torch.mm(upstream.t()[part], inputs, out=gradient[part]), rows)
+        return None, slopes, gradient, upstream.sum(0)
 
 
 class _Encoder:

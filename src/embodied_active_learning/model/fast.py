@@ -44,6 +44,6 @@ def fastest_loss(network: ConditionalVAE) -> Arithmetic:
     threads = torch.get_num_threads()
     library, reason = load_library()
     if library is None:
-        return Arithmetic(FastLoss(BlockImages(network)), f"torch alone, {threads} threads: {reason}", threads)
+        return Arithmetic(FastLoss(BlockImages(network)), f"torch alone, {threads} threads: {reason}", 1)
     images = NativeImages(network, Kernels(library))
     return Arithmetic(NativeLoss(images), f"{reason}, {threads} threads", 1, in_place=True)
