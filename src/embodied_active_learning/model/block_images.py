@@ -16,8 +16,7 @@ Gradients = Tuple[Optional[torch.Tensor], ...]
 Parts = List[torch.Tensor]
 
 WHITE = 255.0  # of a byte
-CHUNK = 16  # images at a time: little enough to stay in the cache, enough to outweigh torch's work for each call
-
+CHUNK = 32  # images at a time at most: enough to outweigh torch's own work for each call
 PARTS = 2  # of a layer's product for each thread
 LARGE = 2**16  # weights of a layer that is worth dividing
 
@@ -59,6 +58,10 @@ class BlockImages:
         """[task(*first arguments), task(*second arguments), ...], each by whichever thread is free."""
         return list(self._pool.map(torch.no_grad()(task), *arguments))
 
+    def chunks(self, batch: torch.Tensor) -> Sequence[torch.Tensor]:
+        """The batch in chunks of images, one for each thread at least."""
+        return batch.split(min(CHUNK, -(-len(batch) // self._threads)))
+
     def parts(self, count: int) -> List[slice]:
         """range(count) in parts, more than there are threads: when one is held up, the others take over."""
         parts = PARTS * self._threads
@@ -72,7 +75,7 @@ class _Features(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: BlockImages, pixels: torch.Tensor, *parameters: torch.Tensor) -> torch.Tensor:
         encoder = _Encoder(images.layers, parameters)
-        features, ctx.inputs = zip(*images.share(encoder.encode, pixels.split(CHUNK)))
+        features, ctx.inputs = zip(*images.share(encoder.encode, images.chunks(pixels)))
         ctx.images = images
         ctx.save_for_backward(*parameters)
         return torch.cat(features)
@@ -81,7 +84,7 @@ class _Features(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, upstream: torch.Tensor) -> Gradients:
         encoder = _Encoder(ctx.images.layers, ctx.saved_tensors)
-        gradients = ctx.images.share(encoder.differentiate, upstream.split(CHUNK), ctx.inputs)
+        gradients = ctx.images.share(encoder.differentiate, ctx.images.chunks(upstream), ctx.inputs)
         return (None, None, *map(sum, zip(*gradients)))
 
 
@@ -98,7 +101,7 @@ class _WeightedErrors(torch.autograd.Function):
         *parameters: torch.Tensor,
     ) -> Tuple[torch.Tensor, torch.Tensor]:
         decoder = _Decoder(images.layers, parameters)
-        batches = (batch.split(CHUNK) for batch in (features, pixels, weights))
+        batches = (images.chunks(batch) for batch in (features, pixels, weights))
         errors, slopes, *gradients = zip(*images.share(decoder.errors, *batches))
         errors = torch.cat(errors)
         ctx.save_for_backward(torch.cat(slopes), errors, *map(sum, gradients))
