@@ -36,6 +36,11 @@ def limited(logarithm: torch.Tensor) -> torch.Tensor:
     return logarithm.clamp(*LOG_LIMITS)
 
 
+def is_within_limits(logarithm: torch.Tensor) -> torch.Tensor:
+    """Where the slope of limited() is one and not zero."""
+    return (logarithm >= LOG_LIMITS[0]) & (logarithm <= LOG_LIMITS[1])
+
+
 def latent_gaussian(outputs: torch.Tensor) -> LatentGaussian:
     """The encoder's outputs (B, 2 L) as means and log variances."""
     mean, log_variance = outputs.chunk(2, dim=1)

@@ -142,22 +142,28 @@ class NativeImages:
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
         """layer(inputs), inputs (B, I) -> (B, O)."""
-        return self.multiply(layer.weight, inputs.t().contiguous()).add_(layer.bias[:, None]).t()
+        (out,) = self.products((layer.weight, inputs.t().contiguous()))
+        return out.add_(layer.bias[:, None]).t()
 
-    def multiply(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-        """Product of left (M, K), any strides, and right (K, N), contiguous -> (M, N).
+    def products(self, *pairs: Tuple[torch.Tensor, torch.Tensor]) -> List[torch.Tensor]:
+        """The product (M, N) of each pair of left (M, K), any strides, and right (K, N), contiguous, on all threads.
 
         Torch's own product is far from this machine's best on some processors, but has the small ones.
         """
-        (rows, _), columns = left.shape, right.shape[1]
-        if columns < self.kernels.panel:
-            return left @ right
-        out = left.new_empty((rows, columns))
-        if rows > columns:
-            self._for_each_part(rows, lambda part: self.kernels.multiply(left[part], right, out[part]))
-        else:
-            self._for_each_part(columns, lambda part: self.kernels.multiply(left, right[:, part], out[:, part]))
-        return out
+        found, tasks = [], []
+        for left, right in pairs:
+            (rows, _), columns = left.shape, right.shape[1]
+            if columns < self.kernels.panel:
+                found.append(left @ right)
+                continue
+            out = left.new_empty((rows, columns))
+            found.append(out)
+            if rows > columns:
+                tasks += [(left[part], right, out[part]) for part in self._parts(rows)]
+            else:
+                tasks += [(left, right[:, part], out[:, part]) for part in self._parts(columns)]
+        self._share(len(tasks), lambda task: self.kernels.multiply(*tasks[task]))
+        return found
 
     def encode(self, weights: List[Weights], images: Images, sides: List[torch.Tensor]) -> None:
         """From one group's images: fill its sides, that behind the first convolution to the innermost, the features."""
@@ -214,12 +220,12 @@ class NativeImages:
     def _groups(self, count: int) -> int:
         return -(-count // self.kernels.lanes)
 
-    def _for_each_part(self, count: int, task: Callable[[slice], None]) -> None:
-        """Call task(part) for parts of range(count), whole panels but for the last, on all threads."""
+    def _parts(self, count: int) -> List[slice]:
+        """Parts of range(count), whole panels but for the last."""
         panel = self.kernels.panel
         parts = max(1, min(PARTS * self.threads, count // panel))
         bounds = [count * part // parts // panel * panel for part in range(parts)] + [count]
-        self._share(parts, lambda part: task(slice(bounds[part], bounds[part + 1])))
+        return [slice(*pair) for pair in zip(bounds, bounds[1:])]
 
     def _share(self, count: int, task: Callable[[int], None]) -> None:
         """Call task(0), ..., task(count - 1), each by whichever thread is free; the caller is one of them."""

@@ -1,8 +1,8 @@
 """The loss on the compiled kernels, with all its gradients taken along with it.
 
 Between the layers an observation is a column, (width, B): what the kernels leave behind and take up, in the order that
-they have it in. Autograd is left the few numbers between encoder and decoder; its bookkeeping, and the copies that it
-makes to be safe, cost as much as a layer.
+they have it in. Gradients are written out: autograd's bookkeeping, and the copies that it makes to be safe, keep one
+thread busy for as long as a layer takes two.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import torch
 from torch import nn
 from torch.autograd.function import once_differentiable
 
-from embodied_active_learning.model.cvae import ConditionalVAE, latent_gaussian, limited
+from embodied_active_learning.model.cvae import ConditionalVAE, is_within_limits, latent_gaussian, limited
 from embodied_active_learning.model.native import NativeImages
-from embodied_active_learning.model.objective import Batch, Loss, error_weights, pair_loss
+from embodied_active_learning.model.objective import Batch, Loss, error_weights, log_std_slopes, pair_loss
 
 
 class NativeLoss:
@@ -41,27 +41,39 @@ class NativeLoss:
         columns = torch.empty(rows.shape[::-1])
         rows[:, width:], columns[width:] = pair.states[:size], pair.states[:size].t()
         seen = images.look(network, pair.images[:size], rows[:, :width], columns[:width])
-        encoded = encoder.run(columns).requires_grad_()
-        with torch.enable_grad():
-            latent = latent_gaussian(encoded.t())
-            sample = latent.mean + latent.std * noise
-        sampled = sample.detach().t()
-        decoded = decoder.run(torch.cat((torch.cat((sampled, sampled), dim=1), pair.states.t())))
-        raw_log_std, slopes = decoded[0].clone().requires_grad_(), torch.empty_like(decoded)
-        with torch.enable_grad():
-            log_std = limited(raw_log_std)
-        weights = error_weights(log_std.detach(), gamma)
+        latent = _Latent(encoder.run(columns), noise.t())
+        sampled = torch.cat((latent.sample, latent.sample), dim=1)
+        decoded = decoder.run(torch.cat((sampled, pair.states.t())))
+        slopes, log_std = torch.empty_like(decoded), limited(decoded[0])
+        weights = error_weights(log_std, gamma)
         errors = images.reconstruct(network, decoded[1:], pair.images, weights, slopes[1:])
-        with torch.enable_grad():
-            loss = pair_loss(errors.each, log_std, latent, beta, gamma)
-        (slopes[0],) = torch.autograd.grad(loss.total, raw_log_std, retain_graph=True)
+        loss = pair_loss(errors.each, log_std, latent.gaussian, beta, gamma)
+        slopes[0] = log_std_slopes(errors.each, log_std, gamma) * is_within_limits(decoded[0])
         below, of_decoder = decoder.run_back(slopes)
-        of_sample = below[:, : network.latent_size].unflatten(0, (2, size)).sum(0)
-        (slopes,) = torch.autograd.grad((loss.total, sample), encoded, (None, of_sample))
-        below, of_encoder = encoder.run_back(slopes, rows)
+        of_sample = below[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
+        below, of_encoder = encoder.run_back(latent.slopes(of_sample, beta), rows)
         of_image_encoder = images.look_back(seen, below[:, :width])
-        loss = Loss(*(term.detach() for term in loss))
         return loss, [*of_image_encoder, *of_encoder, *of_decoder, *errors.gradients]
+
+
+class _Latent:
+    """An encoder's outputs (2 L, B) as a Gaussian, and a sample (L, B) of it made from standard normal noise."""
+
+    def __init__(self, outputs: torch.Tensor, noise: torch.Tensor) -> None:
+        self.gaussian = latent_gaussian(outputs.t())
+        self.sample = (self.gaussian.mean + self.gaussian.std * noise.t()).t()
+        self._outputs, self._noise = outputs, noise
+
+    def slopes(self, of_sample: torch.Tensor, beta: float) -> torch.Tensor:
+        """From d loss / d sample (L, B) that of the outputs (2 L, B), with beta times that of the KL divergence."""
+        slopes = torch.empty_like(self._outputs)
+        of_mean, of_log_variance = slopes.chunk(2)
+        weight = beta / of_sample.shape[1]
+        mean, log_variance, std = (part.t() for part in (*self.gaussian, self.gaussian.std))
+        of_mean[:] = of_sample + weight * mean
+        of_log_variance[:] = 0.5 * (of_sample * self._noise * std + weight * (log_variance.exp() - 1.0))
+        of_log_variance *= is_within_limits(self._outputs.chunk(2)[1])
+        return slopes
 
 
 class _Perceptron:
@@ -69,7 +81,7 @@ class _Perceptron:
 
     def __init__(self, layers: nn.Sequential, images: NativeImages) -> None:
         self._layers = [layer for layer in layers if isinstance(layer, nn.Linear)]
-        self._multiply = images.multiply
+        self._products = images.products
         self._inputs: List[torch.Tensor] = []
 
     def run(self, inputs: torch.Tensor) -> torch.Tensor:
@@ -78,7 +90,8 @@ class _Perceptron:
             if self._inputs:
                 inputs.relu_()
             self._inputs.append(inputs)
-            inputs = self._multiply(layer.weight, inputs).add_(layer.bias[:, None])
+            (inputs,) = self._products((layer.weight, inputs))
+            inputs += layer.bias[:, None]
         return inputs
 
     def run_back(
@@ -92,10 +105,11 @@ class _Perceptron:
         for index, layer in reversed(list(enumerate(self._layers))):
             given = first_rows if index == 0 else None
             rows = self._inputs[index].t().contiguous() if given is None else given
-            gradients = [self._multiply(slopes.t(), rows), slopes.sum(0), *gradients]
-            slopes = self._multiply(slopes, layer.weight)
+            bias = slopes.sum(0)
+            weight, slopes = self._products((slopes.t(), rows), (slopes, layer.weight))
+            gradients = [weight, bias, *gradients]
             if index:
-                slopes.masked_fill_(rows <= 0.0, 0.0)
+                slopes *= rows.sign()  # 0 or 1: no number behind a ReLU is negative
         return slopes, gradients
 
 

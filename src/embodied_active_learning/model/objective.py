@@ -86,6 +86,13 @@ def error_weights(log_std: torch.Tensor, gamma: float) -> torch.Tensor:
     return weights
 
 
+def log_std_slopes(errors: torch.Tensor, log_std: torch.Tensor, gamma: float) -> torch.Tensor:
+    """Gradient (2 B,) of pair_loss by log_std: (1 - error / std^2) / B, and in the second half gamma times that."""
+    slopes = (1.0 - errors * torch.exp(-2.0 * log_std)) / (len(log_std) // 2)
+    slopes[len(slopes) // 2 :] *= gamma
+    return slopes
+
+
 def pair_loss(errors: torch.Tensor, log_std: torch.Tensor, latent: LatentGaussian, beta: float, gamma: float) -> Loss:
     """The loss of a pair from the mean squared errors (2 B,) and log std (2 B,) of its decoded images."""
     terms = 0.5 * errors * torch.exp(-2.0 * log_std) + log_std
