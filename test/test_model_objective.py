@@ -256,3 +256,17 @@ def test_images_are_read_where_they_are_stored_and_nothing_is_read_between_their
     assert all(torch.equal(one, other) for one, other in zip(found, expected))
     with pytest.raises(ValueError, match="one piece"):
         compiled(network)(network, pair._replace(images=pair.images.transpose(1, 2)), noise, 1e-3, 0.07)
+
+
+@needs_compiler
+def test_the_compiled_loss_tells_the_sum_of_its_gradients_so_that_none_that_is_no_number_goes_unseen():
+    network, pair, noise = make((61, 58), ModelConfig(channels=(6, 8), kernels=(3, 3), strides=(2, 2)), 70)
+    terms, found = gradients(compiled(network), network, pair, noise, 1e-3, 0.07)
+    expected = sum(gradient.double().sum() for gradient in found)
+    assert terms.gradient_sum.item() == pytest.approx(expected.item(), rel=1e-3, abs=1e-3)
+    for layer in (network.encoder[2], network.decoder[0], network.image_encoder[0], network.image_decoder[-1]):
+        poisoned = copy.deepcopy(network)
+        names = {id(part): name for name, part in network.named_parameters()}
+        with torch.no_grad():
+            dict(poisoned.named_parameters())[names[id(layer.weight)]].fill_(math.inf)
+        assert not compiled(poisoned)(poisoned, pair, noise, 1e-3, 0.07).gradient_sum.isfinite()

@@ -226,7 +226,7 @@ class Learner:
         self._optimiser.zero_grad(set_to_none=True)
         loss = self.arithmetic.loss(self.network, pair, torch.from_numpy(noise).to(self._device), beta, gamma)
         loss.total.backward()
-        return Loss(*(term.detach() for term in loss))
+        return Loss(*(None if term is None else term.detach() for term in loss))
 
     def _count(self, update: int) -> int:
         """Observations that update number `update`, from 0, looks at: the first so many."""
@@ -264,5 +264,6 @@ class Learner:
 
 def _all_finite(loss: Loss, network: ConditionalVAE) -> bool:
     # A sum is finite only if all its parts are: one pass over the gradients, no copies.
-    sums = [parameter.grad.sum() for parameter in network.parameters()]
+    known = loss.gradient_sum
+    sums = [parameter.grad.sum() for parameter in network.parameters()] if known is None else [known]
     return bool(torch.stack([loss.total, *sums]).isfinite().all())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Callable, DefaultDict, List, NamedTuple, Tuple
+from typing import Callable, DefaultDict, List, NamedTuple, Sequence, Tuple
 
 import torch
 from torch import nn
@@ -12,6 +12,8 @@ from torch import nn
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
 from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer, Weights, pack_weights
 from embodied_active_learning.model.objective import Images
+
+Pair = Tuple[torch.Tensor, torch.Tensor]
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 END = 2  # layers next to the image that are worked off together, a few rows at a time
@@ -24,6 +26,14 @@ class Seen(NamedTuple):
     parameters: List[torch.Tensor]
     weights: List[Weights]
     values: List[torch.Tensor]
+
+
+class LookedBack(NamedTuple):
+    """Gradients of the encoder's weights and biases, and what else was multiplied, with the sum of all its elements."""
+
+    gradients: List[torch.Tensor]
+    products: List[torch.Tensor]
+    sum: torch.Tensor
 
 
 class Errors(NamedTuple):
@@ -69,10 +79,16 @@ class NativeImages:
         self.for_each_group(len(images), encode)
         return Seen(images, parameters, weights, values)
 
-    def look_back(self, seen: Seen, slopes: torch.Tensor) -> List[torch.Tensor]:
-        """Slopes (B, F) at the features -> gradients of the encoder's weights and biases, in their order."""
+    def look_back(self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = ()) -> LookedBack:
+        """Slopes (B, F) at the features -> gradients of the encoder's weights and biases, in their order.
+
+        pairs: of products that can wait until now. In small pieces, they keep all threads busy to the end.
+        """
         kernels, layers, weights, values = self.kernels, self.layers, seen.weights, seen.values
-        gradients = _gradients_of(seen.parameters, len(values[0]))
+        groups, lanes = len(values[0]), self.kernels.lanes
+        gradients = _gradients_of(seen.parameters, groups)
+        products, tasks = self._divide(pairs)
+        sums = [torch.zeros(())] * len(tasks)
 
         def differentiate(group: int, members: slice) -> None:
             borrowed = self.borrow(1, self.deep_sides)
@@ -91,9 +107,17 @@ class NativeImages:
             kernels.look_back(layers[:END], weights[:END], seen.images[members], between, flow, end)
             self.give_back(borrowed, 1, self.deep_sides)
 
-        self.for_each_group(len(slopes), differentiate)
+        def work(index: int) -> None:
+            if index < groups:
+                differentiate(index, slice(index * lanes, (index + 1) * lanes))
+            else:
+                left, right, out = tasks[index - groups]
+                kernels.multiply(left, right, out)
+                sums[index - groups] = out.sum()  # here, where it is in the cache
+
+        self._share(groups + len(tasks), work)
         self.forget(seen)
-        return [gradient.sum(0) for gradient in gradients]
+        return LookedBack([gradient.sum(0) for gradient in gradients], products, sum(sums, torch.zeros(())))
 
     def forget(self, seen: Seen) -> None:
         """Give back what is behind the convolutions."""
@@ -142,26 +166,11 @@ class NativeImages:
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
         """layer(inputs), inputs (B, I) -> (B, O)."""
-        (out,) = self.products((layer.weight, inputs.t().contiguous()))
-        return out.add_(layer.bias[:, None]).t()
+        return self.product(layer.weight, inputs.t().contiguous()).add_(layer.bias[:, None]).t()
 
-    def products(self, *pairs: Tuple[torch.Tensor, torch.Tensor]) -> List[torch.Tensor]:
-        """The product (M, N) of each pair of left (M, K), any strides, and right (K, N), contiguous, on all threads.
-
-        Torch's own product is far from this machine's best on some processors, but has the small ones.
-        """
-        found, tasks = [], []
-        for left, right in pairs:
-            (rows, _), columns = left.shape, right.shape[1]
-            if columns < self.kernels.panel:
-                found.append(left @ right)
-                continue
-            out = left.new_empty((rows, columns))
-            found.append(out)
-            if rows > columns:
-                tasks += [(left[part], right, out[part]) for part in self._parts(rows)]
-            else:
-                tasks += [(left, right[:, part], out[:, part]) for part in self._parts(columns)]
+    def product(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        """Product (M, N) of left (M, K), any strides, and right (K, N), contiguous, on all threads."""
+        (found,), tasks = self._divide([(left, right)])
         self._share(len(tasks), lambda task: self.kernels.multiply(*tasks[task]))
         return found
 
@@ -200,6 +209,26 @@ class NativeImages:
     def give_back(self, buffers: List[torch.Tensor], groups: int, sides: range) -> None:
         """Return what was borrowed."""
         self._spare[groups, sides].append(buffers)
+
+    def _divide(self, pairs: Sequence[Pair]) -> Tuple[List[torch.Tensor], List[Tuple[torch.Tensor, ...]]]:
+        """-> the product of each pair, and what is left to be multiplied of them: left, right and where it goes.
+
+        Torch's own product is far from this machine's best on some processors, but has the small ones.
+        """
+        found: List[torch.Tensor] = []
+        tasks: List[Tuple[torch.Tensor, ...]] = []
+        for left, right in pairs:
+            (rows, _), columns = left.shape, right.shape[1]
+            if columns < self.kernels.panel:
+                found.append(left @ right)
+                continue
+            out = left.new_empty((rows, columns))
+            found.append(out)
+            if rows > columns:
+                tasks += [(left[part], right, out[part]) for part in self._parts(rows)]
+            else:
+                tasks += [(left, right[:, part], out[:, part]) for part in self._parts(columns)]
+        return found, tasks
 
     def _differentiate_decoder(
         self,

@@ -14,7 +14,7 @@ from torch import nn
 from torch.autograd.function import once_differentiable
 
 from embodied_active_learning.model.cvae import ConditionalVAE, is_within_limits, latent_gaussian, limited
-from embodied_active_learning.model.native import NativeImages
+from embodied_active_learning.model.native import NativeImages, Pair
 from embodied_active_learning.model.objective import Batch, Loss, error_weights, log_std_slopes, pair_loss
 
 
@@ -49,11 +49,14 @@ class NativeLoss:
         errors = images.reconstruct(network, decoded[1:], pair.images, weights, slopes[1:])
         loss = pair_loss(errors.each, log_std, latent.gaussian, beta, gamma)
         slopes[0] = log_std_slopes(errors.each, log_std, gamma) * is_within_limits(decoded[0])
-        below, of_decoder = decoder.run_back(slopes)
+        below = decoder.run_back(slopes)
         of_sample = below[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
-        below, of_encoder = encoder.run_back(latent.slopes(of_sample, beta), rows)
-        of_image_encoder = images.look_back(seen, below[:, :width])
-        return loss, [*of_image_encoder, *of_encoder, *of_decoder, *errors.gradients]
+        below = encoder.run_back(latent.slopes(of_sample, beta), rows)
+        back = images.look_back(seen, below[:, :width], [*encoder.pairs, *decoder.pairs])
+        of_layers = [part for both in zip(back.products, [*encoder.biases, *decoder.biases]) for part in both]
+        rest = [*back.gradients, *encoder.biases, *decoder.biases, *errors.gradients]
+        loss = loss._replace(gradient_sum=back.sum + sum(part.sum() for part in rest))
+        return loss, [*back.gradients, *of_layers, *errors.gradients]
 
 
 class _Latent:
@@ -81,8 +84,10 @@ class _Perceptron:
 
     def __init__(self, layers: nn.Sequential, images: NativeImages) -> None:
         self._layers = [layer for layer in layers if isinstance(layer, nn.Linear)]
-        self._products = images.products
+        self._product = images.product
         self._inputs: List[torch.Tensor] = []
+        self.pairs: List[Pair] = []
+        self.biases: List[torch.Tensor] = []
 
     def run(self, inputs: torch.Tensor) -> torch.Tensor:
         """Inputs (I, B) -> outputs (O, B)."""
@@ -90,27 +95,25 @@ class _Perceptron:
             if self._inputs:
                 inputs.relu_()
             self._inputs.append(inputs)
-            (inputs,) = self._products((layer.weight, inputs))
-            inputs += layer.bias[:, None]
+            inputs = self._product(layer.weight, inputs).add_(layer.bias[:, None])
         return inputs
 
-    def run_back(
-        self, slopes: torch.Tensor, first_rows: Optional[torch.Tensor] = None
-    ) -> Tuple[torch.Tensor, List[torch.Tensor]]:
-        """Slopes (O, B) at the outputs -> those at the inputs, (B, I), and gradients of weights and biases, in order.
+    def run_back(self, slopes: torch.Tensor, first_rows: Optional[torch.Tensor] = None) -> torch.Tensor:
+        """Slopes (O, B) at the outputs -> those at the inputs, (B, I).
 
-        first_rows: the inputs once more, (B, I), where they are at hand.
+        Leaves behind, layer by layer, the gradients of the biases, and of the weights pairs whose products they are:
+        nothing waits for these. first_rows: the inputs once more, (B, I), where they are at hand.
         """
-        slopes, gradients = slopes.t(), []
+        slopes = slopes.t()
         for index, layer in reversed(list(enumerate(self._layers))):
             given = first_rows if index == 0 else None
             rows = self._inputs[index].t().contiguous() if given is None else given
-            bias = slopes.sum(0)
-            weight, slopes = self._products((slopes.t(), rows), (slopes, layer.weight))
-            gradients = [weight, bias, *gradients]
+            self.pairs.insert(0, (slopes.t(), rows))
+            self.biases.insert(0, slopes.sum(0))
+            slopes = self._product(slopes, layer.weight)
             if index:
                 slopes *= rows.sign()  # 0 or 1: no number behind a ReLU is negative
-        return slopes, gradients
+        return slopes
 
 
 class _Differentiated(torch.autograd.Function):

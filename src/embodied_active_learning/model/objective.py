@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Callable, NamedTuple, Sequence
+from typing import Callable, NamedTuple, Optional, Sequence
 
 import torch
 
@@ -27,13 +27,17 @@ class Batch(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """The loss, its terms (scalars, before weighting) and the latent means (B, L) they were computed with."""
+    """The loss, its terms (scalars, before weighting) and the latent means (B, L) they were computed with.
+
+    gradient_sum: of all elements of all gradients, where these were taken along with the loss.
+    """
 
     total: torch.Tensor
     reconstruction: torch.Tensor
     conditional_reconstruction: torch.Tensor
     kl: torch.Tensor
     latent_means: torch.Tensor
+    gradient_sum: Optional[torch.Tensor] = None
 
 
 class Arithmetic(NamedTuple):
