@@ -14,6 +14,7 @@ from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer,
 from embodied_active_learning.model.objective import Images
 
 Pair = Tuple[torch.Tensor, torch.Tensor]
+Task = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 END = 2  # layers next to the image that are worked off together, a few rows at a time
@@ -112,7 +113,7 @@ class NativeImages:
                 differentiate(index, slice(index * lanes, (index + 1) * lanes))
             else:
                 left, right, out = tasks[index - groups]
-                kernels.multiply(left, right, out)
+                self._multiply(left, right, out)
                 sums[index - groups] = out.sum()  # here, where it is in the cache
 
         self._share(groups + len(tasks), work)
@@ -171,7 +172,7 @@ class NativeImages:
     def product(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
         """Product (M, N) of left (M, K), any strides, and right (K, N), contiguous, on all threads."""
         (found,), tasks = self._divide([(left, right)])
-        self._share(len(tasks), lambda task: self.kernels.multiply(*tasks[task]))
+        self._share(len(tasks), lambda task: self._multiply(*tasks[task]))
         return found
 
     def encode(self, weights: List[Weights], images: Images, sides: List[torch.Tensor]) -> None:
@@ -210,18 +211,12 @@ class NativeImages:
         """Return what was borrowed."""
         self._spare[groups, sides].append(buffers)
 
-    def _divide(self, pairs: Sequence[Pair]) -> Tuple[List[torch.Tensor], List[Tuple[torch.Tensor, ...]]]:
-        """-> the product of each pair, and what is left to be multiplied of them: left, right and where it goes.
-
-        Torch's own product is far from this machine's best on some processors, but has the small ones.
-        """
+    def _divide(self, pairs: Sequence[Pair]) -> Tuple[List[torch.Tensor], List[Task]]:
+        """-> room for the product of each pair, and what is to be multiplied for them."""
         found: List[torch.Tensor] = []
-        tasks: List[Tuple[torch.Tensor, ...]] = []
+        tasks: List[Task] = []
         for left, right in pairs:
             (rows, _), columns = left.shape, right.shape[1]
-            if columns < self.kernels.panel:
-                found.append(left @ right)
-                continue
             out = left.new_empty((rows, columns))
             found.append(out)
             if rows > columns:
@@ -229,6 +224,13 @@ class NativeImages:
             else:
                 tasks += [(left, right[:, part], out[:, part]) for part in self._parts(columns)]
         return found, tasks
+
+    def _multiply(self, left: torch.Tensor, right: torch.Tensor, out: torch.Tensor) -> None:
+        # Torch's own product is far from this machine's best on some processors, but has the small ones.
+        if out.shape[1] < self.kernels.panel:
+            torch.mm(left, right, out=out)
+        else:
+            self.kernels.multiply(left, right, out)
 
     def _differentiate_decoder(
         self,
@@ -260,6 +262,7 @@ class NativeImages:
         """Call task(0), ..., task(count - 1), each by whichever thread is free; the caller is one of them."""
         left = iter(range(count))
 
+        @torch.no_grad()  # holds for a thread, and so not yet for the helpers
         def work() -> None:
             for index in left:
                 task(index)
