@@ -147,8 +147,12 @@ def test_a_checkpoint_without_a_tensor_or_a_counter_is_refused_by_its_name():
 def test_a_batch_holds_no_observation_twice():
     learner = make(count=8)
     read = []
-    learner.arithmetic = learner.arithmetic._replace(in_place=False)
-    learner._reader.read = lambda indices, read_batch=learner._reader.read: read.append(indices) or read_batch(indices)
+
+    def note(go_on):
+        return lambda indices: read.append(indices) or go_on(indices)
+
+    learner._reader.read = note(learner._reader.read)
+    learner._reader.read_in_place = note(learner._reader.read_in_place)
     learner.updates = 1
     learner.update()
     assert sorted(read[0][:8]) == sorted(read[0][8:]) == list(range(8))
@@ -377,3 +381,26 @@ def test_cuda_is_refused_where_there_is_none(monkeypatch):
     with pytest.raises(ConfigError, match="training/device"):
         choose_device("cuda")
     assert choose_device("auto") == torch.device("cpu")
+
+
+def test_whoever_asks_for_the_network_gets_it_after_the_step_that_is_still_under_way():
+    learner, other = make(), make()
+    go_on = threading.Event()
+    late = learner._optimiser.parts[1]
+    late.step = lambda step=late.step: go_on.wait(10.0) and step()
+    learner.update()
+    threading.Timer(0.1, go_on.set).start()
+    other.update()
+    assert torch.equal(weights(learner), weights(other))
+
+
+def test_what_goes_wrong_in_a_step_is_raised_by_whoever_needs_its_result():
+    learner = make()
+
+    def fail():
+        raise RuntimeError("no memory")
+
+    learner._optimiser.parts[1].step = fail
+    learner.update()
+    with pytest.raises(RuntimeError, match="no memory"):
+        learner.refresh()

@@ -8,6 +8,7 @@ import torch
 
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.optimiser import Optimiser
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 NETWORK = "network/"
@@ -35,26 +36,30 @@ def pack_earlier(weights: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]
     return {f"{EARLIER}{name}": _copy(tensor) for name, tensor in weights.items()}
 
 
-def pack(network: ConditionalVAE, optimiser: torch.optim.Adam) -> Dict[str, torch.Tensor]:
+def pack(network: ConditionalVAE, optimiser: Optimiser) -> Dict[str, torch.Tensor]:
     """Copies of the weights ("network/..."), Adam's moments ("adam/<moment>/...") and its step count, on the CPU."""
     tensors = {"adam/step": torch.zeros(())}
+    state = optimiser.state
     for name, parameter in network.named_parameters():
         tensors[f"{NETWORK}{name}"] = _copy(parameter)
-        moments = optimiser.state.get(parameter, {})
+        moments = state.get(parameter, {})
         for moment in MOMENTS:
             tensors[f"adam/{moment}/{name}"] = _copy(moments.get(moment, torch.zeros_like(parameter)))
         tensors["adam/step"] = _copy(moments.get("step", tensors["adam/step"]))
     return tensors
 
 
-def unpack(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE, optimiser: torch.optim.Adam) -> None:
+def unpack(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE, optimiser: Optimiser) -> None:
     """Put packed tensors back. Raises ConfigError naming a tensor of another shape, CorruptFileError a missing one."""
     _check(tensors, pack(network, optimiser))
-    names = [name for name, _ in network.named_parameters()]
-    network.load_state_dict({name: tensors[f"{NETWORK}{name}"] for name in names})
-    moments = [{moment: tensors[f"adam/{moment}/{name}"].clone() for moment in MOMENTS} for name in names]
-    state = {index: {"step": tensors["adam/step"].clone(), **pair} for index, pair in enumerate(moments)}
-    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+    names = {parameter: name for name, parameter in network.named_parameters()}
+    network.load_state_dict({name: tensors[f"{NETWORK}{name}"] for name in names.values()})
+    for part in optimiser.parts:
+        groups = part.state_dict()["param_groups"]
+        own = [names[parameter] for group in part.param_groups for parameter in group["params"]]
+        moments = [{moment: tensors[f"adam/{moment}/{name}"].clone() for moment in MOMENTS} for name in own]
+        state = {index: {"step": tensors["adam/step"].clone(), **pair} for index, pair in enumerate(moments)}
+        part.load_state_dict({"state": state, "param_groups": groups})
 
 
 def require(found: Mapping[str, Any], keys: Iterable[str]) -> None:

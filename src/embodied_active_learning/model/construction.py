@@ -43,11 +43,3 @@ def build_network(config: Config, seed: int) -> ConditionalVAE:
     network = network.to_empty(device="cpu")
     initialise(network, torch.Generator().manual_seed(seed))
     return network
-
-
-def build_optimiser(network: ConditionalVAE, learning_rate: float) -> torch.optim.Adam:
-    """Adam as the paper has it, in one pass over the weights where torch can do so."""
-    try:
-        return torch.optim.Adam(network.parameters(), learning_rate, fused=True)
-    except RuntimeError:  # a torch without fused kernels for this device
-        return torch.optim.Adam(network.parameters(), learning_rate)

@@ -15,7 +15,6 @@ from embodied_active_learning.exploration.kernel import CoverageKernel
 from embodied_active_learning.model import checkpoint
 from embodied_active_learning.model.construction import (
     build_network,
-    build_optimiser,
     choose_arithmetic,
     choose_device,
     choose_images,
@@ -24,6 +23,7 @@ from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.measures import Evaluation, active_units, evaluate_model
 from embodied_active_learning.model.objective import Arithmetic, Loss
 from embodied_active_learning.model.observations import BatchReader, Observations
+from embodied_active_learning.model.optimiser import Optimiser
 from embodied_active_learning.model.schedule import Schedule
 from embodied_active_learning.model.snapshot import Snapshots
 
@@ -74,10 +74,10 @@ class Learner:
         self._device = choose_device(config.training.device)
         weights_seed, batches_seed = np.random.SeedSequence([seed, 201]).spawn(2)
         self._random = np.random.default_rng(batches_seed)
-        self.network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
-        self._optimiser = build_optimiser(self.network, config.training.learning_rate)
+        self._network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
+        self._optimiser = Optimiser(self._network, config.training.learning_rate)
         if loss is None:
-            self.arithmetic = choose_arithmetic(self.network, self._device)
+            self.arithmetic = choose_arithmetic(self._network, self._device)
         else:
             self.arithmetic = Arithmetic(loss, "as given", torch.get_num_threads())
         self._reader = BatchReader(observations, self._device, keep=self._device.type != "cpu")
@@ -88,6 +88,12 @@ class Learner:
         self.rollbacks = 0
         self._images = choose_images(config, self._device)
         self.snapshots = Snapshots(self.network, self._images)
+
+    @property
+    def network(self) -> ConditionalVAE:
+        """The network after the last update. Only the thread that trains may ask for it."""
+        self._optimiser.settle()
+        return self._network
 
     def update(self) -> UpdateReport:
         """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients.
@@ -208,7 +214,7 @@ class Learner:
     def _attempt(self, count: int, beta: float, gamma: float) -> Loss:
         for _ in range(ATTEMPTS):
             loss = self._gradients(count, beta, gamma)
-            if _all_finite(loss, self.network):
+            if _all_finite(loss, self._network):
                 self._optimiser.step()
                 return loss
             self.skipped += 1
@@ -220,11 +226,15 @@ class Learner:
     def _gradients(self, count: int, beta: float, gamma: float) -> Loss:
         size = self._config.training.batch_size
         halves = [self._random.choice(count, size, replace=False) for _ in range(2)]
-        noise = self._random.standard_normal((size, self.network.latent_size), dtype=np.float32)
-        read = self._reader.read_in_place if self.arithmetic.in_place else self._reader.read
-        pair = read(np.concatenate(halves))
-        self._optimiser.zero_grad(set_to_none=True)
-        loss = self.arithmetic.loss(self.network, pair, torch.from_numpy(noise).to(self._device), beta, gamma)
+        noise = self._random.standard_normal((size, self._network.latent_size), dtype=np.float32)
+        inputs = torch.from_numpy(noise).to(self._device), beta, gamma
+        if self.arithmetic.in_place:
+            pair = self._reader.read_in_place(np.concatenate(halves))
+            loss = self.arithmetic.loss(self._network, pair, *inputs, self._optimiser.settle)
+        else:
+            pair = self._reader.read(np.concatenate(halves))
+            loss = self.arithmetic.loss(self.network, pair, *inputs)
+        self._optimiser.forget_gradients()
         loss.total.backward()
         return Loss(*(None if term is None else term.detach() for term in loss))
 

@@ -7,7 +7,7 @@ thread busy for as long as a layer takes two.
 
 from __future__ import annotations
 
-from typing import Any, List, Optional, Tuple
+from typing import Any, Callable, List, Optional, Tuple
 
 import torch
 from torch import nn
@@ -24,15 +24,29 @@ class NativeLoss:
     def __init__(self, images: NativeImages) -> None:
         self._images = images
 
-    def __call__(self, network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: float, gamma: float) -> Loss:
-        """See plain_loss."""
+    def __call__(
+        self,
+        network: ConditionalVAE,
+        pair: Batch,
+        noise: torch.Tensor,
+        beta: float,
+        gamma: float,
+        settle: Callable[[], None] = lambda: None,
+    ) -> Loss:
+        """See plain_loss. settle: called before other weights than the image encoder's are read."""
         with torch.no_grad():
-            loss, gradients = self._differentiate(network, pair, noise, beta, gamma)
+            loss, gradients = self._differentiate(network, pair, noise, beta, gamma, settle)
         total = _Differentiated.apply(loss.total, gradients, *network.parameters())
         return loss._replace(total=total)
 
     def _differentiate(
-        self, network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: float, gamma: float
+        self,
+        network: ConditionalVAE,
+        pair: Batch,
+        noise: torch.Tensor,
+        beta: float,
+        gamma: float,
+        settle: Callable[[], None],
     ) -> Tuple[Loss, List[torch.Tensor]]:
         """The loss, and its gradients in the order of the network's parameters."""
         images, size, width = self._images, len(noise), network.feature_size
@@ -41,6 +55,7 @@ class NativeLoss:
         columns = torch.empty(rows.shape[::-1])
         rows[:, width:], columns[width:] = pair.states[:size], pair.states[:size].t()
         seen = images.look(network, pair.images[:size], rows[:, :width], columns[:width])
+        settle()
         latent = _Latent(encoder.run(columns), noise.t())
         sampled = torch.cat((latent.sample, latent.sample), dim=1)
         decoded = decoder.run(torch.cat((sampled, pair.states.t())))

@@ -44,7 +44,8 @@ class Arithmetic(NamedTuple):
     """A way to compute the loss, what it runs on and why, and the threads that torch itself should have beside it.
 
     torch's threads spin for a while after their work, on cores that others need: 1 where others do the work.
-    in_place: whether it takes the images of a batch where they are stored, without a copy of all.
+    in_place: whether it takes the images of a batch where they are stored, without a copy of all, and `settle`, to be
+    called when it needs other weights than the image encoder's.
     """
 
     loss: Callable[..., Loss]

@@ -1,0 +1,59 @@
+"""Adam, taking its step while the next batch is already being looked at."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Dict, Iterable, List, Optional
+
+import torch
+from torch import nn
+
+from embodied_active_learning.model.cvae import ConditionalVAE
+
+
+class Optimiser:
+    """Adam as the paper has it: the image encoder's weights are stepped at once, all others in the background.
+
+    Adam waits for memory and keeps the processor idle, which the convolutions of the next batch do not. Who needs other
+    weights than the image encoder's, or gradients, calls settle() first. One thread may call the methods.
+    """
+
+    def __init__(self, network: ConditionalVAE, learning_rate: float) -> None:
+        first = list(network.image_encoder.parameters())
+        known = {id(parameter) for parameter in first}
+        others = [parameter for parameter in network.parameters() if id(parameter) not in known]
+        self.parts = [_adam(part, learning_rate) for part in (first, others)]
+        self._background = ThreadPoolExecutor(1, thread_name_prefix="adam")
+        self._pending: Optional[Future] = None
+
+    @property
+    def state(self) -> Dict[nn.Parameter, Dict[str, torch.Tensor]]:
+        """Adam's moments and step count of each parameter that has been stepped."""
+        return {parameter: state for part in self.parts for parameter, state in part.state.items()}
+
+    def step(self) -> None:
+        """Take a step from the gradients that are there."""
+        self.settle()
+        first, others = self.parts
+        first.step()
+        self._pending = self._background.submit(others.step)
+
+    def settle(self) -> None:
+        """Wait until the last step is taken. Raises what went wrong in it."""
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
+
+    def forget_gradients(self) -> None:
+        """Begin with gradients anew."""
+        for part in self.parts:
+            part.zero_grad(set_to_none=True)
+
+
+def _adam(parameters: Iterable[nn.Parameter], learning_rate: float) -> torch.optim.Adam:
+    """Adam in one pass over the weights, where torch can do so."""
+    chosen: List[nn.Parameter] = list(parameters)
+    try:
+        return torch.optim.Adam(chosen, learning_rate, fused=True)
+    except RuntimeError:  # a torch without fused kernels for this device
+        return torch.optim.Adam(chosen, learning_rate)
