@@ -21,7 +21,7 @@ END = 2  # layers next to the image that are worked off together, a few rows at 
 
 
 class Seen(NamedTuple):
-    """What the encoder's gradients need of a batch of images: what is behind each convolution, still borrowed."""
+    """What the encoder's gradients need of a batch of images; values: behind each convolution, still borrowed."""
 
     images: Images
     parameters: List[torch.Tensor]
@@ -65,7 +65,7 @@ class NativeImages:
     def look(self, network: ConditionalVAE, images: Images, rows: torch.Tensor, columns: torch.Tensor) -> Seen:
         """Images (B of them) -> features, into rows (B, F) and into columns (F, B).
 
-        Give back what is returned to look_back, or to forget; the images must stay as they are until then.
+        What is returned goes to look_back; the images must stay as they are until then.
         """
         kernels = self.kernels
         parameters = list(network.image_encoder.parameters())
@@ -117,12 +117,8 @@ class NativeImages:
                 sums[index - groups] = out.sum()  # here, where it is in the cache
 
         self._share(groups + len(tasks), work)
-        self.forget(seen)
+        self.give_back(values, groups, range(1, len(layers) + 1))
         return LookedBack([gradient.sum(0) for gradient in gradients], products, sum(sums, torch.zeros(())))
-
-    def forget(self, seen: Seen) -> None:
-        """Give back what is behind the convolutions."""
-        self.give_back(seen.values, len(seen.values[0]), range(1, len(self.layers) + 1))
 
     def reconstruct(
         self,

@@ -23,7 +23,9 @@ class Optimiser:
         known = {id(parameter) for parameter in first}
         others = [parameter for parameter in network.parameters() if id(parameter) not in known]
         self.parts = [_adam(part, learning_rate) for part in (first, others)]
-        self._background = ThreadPoolExecutor(1, thread_name_prefix="adam")
+        # A unit that is dead for some hundred updates has moments below 1e-38, with which processors are slow; as zeros
+        # they change no weight.
+        self._background = ThreadPoolExecutor(1, "adam", torch.set_flush_denormal, (True,))
         self._pending: Optional[Future] = None
 
     @property
