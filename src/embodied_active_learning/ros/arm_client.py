@@ -13,12 +13,7 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.causes import error_of
 from embodied_active_learning.ros.node import wait_until
-from embodied_active_learning.ros.services import (
-    HANDLER_FAILED,
-    TRANSPORT_ERRORS,
-    KeptService,
-    saying_who_is_awaited,
-)
+from embodied_active_learning.ros.services import HANDLER_FAILED, TRANSPORT_ERRORS, saying_who_is_awaited
 from embodied_active_learning.srv import GoToPose, MoveArm, RestoreArm
 
 
@@ -33,7 +28,7 @@ class ArmClient:
     """Moves the arm through its services. Commands are never sent twice: an unanswered one is an UnansweredError."""
 
     def __init__(self) -> None:
-        self._move = KeptService(names.ARM_MOVE, MoveArm)  # for every step of a run
+        self._move = rospy.ServiceProxy(names.ARM_MOVE, MoveArm)
         self._go_to = rospy.ServiceProxy(names.ARM_GO_TO, GoToPose)
         self._stop = rospy.ServiceProxy(names.ARM_STOP, Trigger)
         self._keep = rospy.ServiceProxy(names.ARM_KEEP, Trigger)

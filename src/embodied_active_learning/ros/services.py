@@ -78,48 +78,6 @@ class PatientService:
                 transport.socket.shutdown(socket.SHUT_RDWR)
 
 
-class KeptService:
-    """Calls a service over one connection, which is kept, and is made anew where the other side has closed it.
-
-    Nothing is ever sent twice: when a call fails on its way, nobody knows what has become of it. For one thread.
-    """
-
-    def __init__(self, name: str, service_class: Any) -> None:
-        self.resolved_name = rospy.resolve_name(name)
-        self._service_class = service_class
-        self._proxy: Any = None
-
-    def __call__(self, *arguments: Any) -> Any:
-        """The server's answer. Raises one of TRANSPORT_ERRORS."""
-        if self._proxy is None or _is_closed(self._proxy.transport):
-            self._hang_up()
-            self._proxy = rospy.ServiceProxy(self.resolved_name, self._service_class, persistent=True)
-        try:
-            return self._proxy(*arguments)
-        except TRANSPORT_ERRORS:
-            self._hang_up()
-            raise
-
-    def wait_for_service(self, timeout: float) -> None:
-        """Return once it is offered. Raises ROSException when it is not within a timeout [s]."""
-        rospy.wait_for_service(self.resolved_name, timeout)
-
-    def _hang_up(self) -> None:
-        if self._proxy is not None:
-            self._proxy.close()
-            self._proxy = None
-
-
-def _is_closed(transport: Any) -> bool:
-    """Whether the other side has closed the connection behind a service that is not being called."""
-    try:
-        return not transport.socket.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
-    except BlockingIOError:  # nothing has come, neither an end
-        return False
-    except (OSError, AttributeError):
-        return True
-
-
 def is_offered(name: str) -> bool:
     """Whether a node offers a service of that name, as far as the master knows; one that is away is waited for.
 
