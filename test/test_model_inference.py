@@ -136,3 +136,13 @@ def test_another_number_of_threads_is_taken_over():
     finally:
         torch.set_num_threads(before)
     assert fastest_images(*GEOMETRIES[0]) is first
+
+
+@needs_compiler
+def test_layers_of_a_few_inputs_are_answered_in_inference_mode_too():
+    network, _, _ = make((45, 45), ModelConfig(), 1)
+    images = fastest_images((45, 45), ModelConfig())
+    inputs = torch.randn(3, network.decoder[-1].in_features)
+    with torch.inference_mode():
+        for _ in range(20):  # whichever thread takes a piece
+            assert torch.allclose(images.linear(network.decoder[-1], inputs), network.decoder[-1](inputs), atol=1e-5)

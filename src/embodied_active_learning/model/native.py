@@ -256,12 +256,12 @@ class NativeImages:
 
     def _share(self, count: int, task: Callable[[int], None]) -> None:
         """Call task(0), ..., task(count - 1), each by whichever thread is free; the caller is one of them."""
-        left = iter(range(count))
+        left, asked_only = iter(range(count)), torch.is_inference_mode_enabled()
 
-        @torch.no_grad()  # holds for a thread, and so not yet for the helpers
         def work() -> None:
-            for index in left:
-                task(index)
+            with torch.inference_mode(asked_only), torch.no_grad():  # for this thread, whichever it is
+                for index in left:
+                    task(index)
 
         helping = [self._pool.submit(work) for _ in range(min(count, self.threads) - 1)]
         try:
