@@ -153,11 +153,11 @@ def test_learned_objects_are_found_where_they_stand_in_another_world(identified)
     truth = true_objects(Config.from_dict({"simulation": {"world": "star_plant_duck"}}))
     learned = load_fingerprints(path.parent / "tiny")
     kinds = true_kinds(learned, true_objects(learned.config))
-    found = {kinds[item.fingerprint]: item for item in reversed(result.decisions) if item.found}
     # The star is not asked about: a model as small as this one may take it for what it knows.
     for kind in ("duck", "plant"):
-        assert kind in found, output
-        assert nearest(found[kind].pose, [item for item in truth if item[0] == kind])[1] < 0.03, output
+        standing = [item for item in truth if item[0] == kind]
+        found = [item.pose for item in result.decisions if item.found and kinds[item.fingerprint] == kind]
+        assert any(nearest(pose, standing)[1] < 0.03 for pose in found), output
 
 
 def test_identification_leaves_a_table_a_picture_and_a_trace_of_every_image(identified):

@@ -238,7 +238,7 @@ def test_fingerprints_of_stored_images_wait_for_no_clock(tmp_path):
         assert node.process.wait(20) == ExitCode.REFUSED
 
 
-@pytest.mark.parametrize(("name", "library"), [("trainer", "libtorch"), ("monitor", "ft2font")])
+@pytest.mark.parametrize(("name", "library"), [("trainer", "libtorch"), ("identifier", "libtorch")])
 def test_a_node_that_is_still_being_imported_ends_without_a_traceback(ros, master, name, library):
     with ros.node(ROOT / "nodes" / name) as node:
         node.wait_until(lambda: library in Path(f"/proc/{node.process.pid}/maps").read_text())

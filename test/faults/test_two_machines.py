@@ -57,6 +57,8 @@ def test_the_arm_stops_when_the_cable_is_pulled_and_the_run_goes_on_when_it_is_b
         )
         running.enter_context(stand_in(robot.home, robot.variables, f"profile:={PROFILE}", prefix=robot.prefix))
         running.enter_context(robot.launched("robot.launch", bringup="nodes", profile=PROFILE))
+        # Both put up a configuration; that of the run has to be the later one.
+        wait_for(lambda: "process[franka_arm" in robot.said, "the robot's side did not begin")
         learning = running.enter_context(
             server.launched(
                 "learn.launch",
