@@ -86,7 +86,7 @@ class NativeImages:
         pairs: of products that can wait until now. In small pieces, they keep all threads busy to the end.
         """
         kernels, layers, weights, values = self.kernels, self.layers, seen.weights, seen.values
-        groups, lanes = len(values[0]), self.kernels.lanes
+        groups = len(values[0])
         gradients = _gradients_of(seen.parameters, groups)
         products, tasks = self._divide(pairs)
         sums = [torch.zeros(())] * len(tasks)
@@ -110,7 +110,7 @@ class NativeImages:
 
         def work(index: int) -> None:
             if index < groups:
-                differentiate(index, slice(index * lanes, (index + 1) * lanes))
+                differentiate(index, self._members(index))
             else:
                 left, right, out = tasks[index - groups]
                 self._multiply(left, right, out)
@@ -190,8 +190,7 @@ class NativeImages:
 
     def for_each_group(self, count: int, task: Callable[[int, slice], None]) -> None:
         """Call task(group, its images) for the groups of `count` images, on all threads."""
-        lanes = self.kernels.lanes
-        self._share(self._groups(count), lambda group: task(group, slice(group * lanes, (group + 1) * lanes)))
+        self._share(self._groups(count), lambda group: task(group, self._members(group)))
 
     def borrow(self, groups: int, sides: range) -> List[torch.Tensor]:
         """Room for the values on some sides of the layers, counted from the image: (groups, C, H, W, lanes) each.
@@ -246,6 +245,9 @@ class NativeImages:
 
     def _groups(self, count: int) -> int:
         return -(-count // self.kernels.lanes)
+
+    def _members(self, group: int) -> slice:
+        return slice(group * self.kernels.lanes, (group + 1) * self.kernels.lanes)
 
     def _parts(self, count: int) -> List[slice]:
         """Parts of range(count), whole panels but for the last."""

@@ -35,43 +35,31 @@ class NativeLoss:
     ) -> Loss:
         """See plain_loss. settle: called before other weights than the image encoder's are read."""
         with torch.no_grad():
-            loss, gradients = self._differentiate(network, pair, noise, beta, gamma, settle)
+            images, size, width = self._images, len(noise), network.feature_size
+            encoder, decoder = (_Perceptron(part, images) for part in (network.encoder, network.decoder))
+            rows = torch.empty((size, width + network.state_size))
+            columns = torch.empty(rows.shape[::-1])
+            rows[:, width:], columns[width:] = pair.states[:size], pair.states[:size].t()
+            seen = images.look(network, pair.images[:size], rows[:, :width], columns[:width])
+            settle()
+            latent = _Latent(encoder.run(columns), noise.t())
+            sampled = torch.cat((latent.sample, latent.sample), dim=1)
+            decoded = decoder.run(torch.cat((sampled, pair.states.t())))
+            slopes, log_std = torch.empty_like(decoded), limited(decoded[0])
+            weights = error_weights(log_std, gamma)
+            errors = images.reconstruct(network, decoded[1:], pair.images, weights, slopes[1:])
+            loss = pair_loss(errors.each, log_std, latent.gaussian, beta, gamma)
+            slopes[0] = log_std_slopes(errors.each, log_std, gamma) * is_within_limits(decoded[0])
+            below = decoder.run_back(slopes)
+            of_sample = below[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
+            below = encoder.run_back(latent.slopes(of_sample, beta), rows)
+            back = images.look_back(seen, below[:, :width], [*encoder.pairs, *decoder.pairs])
+            of_layers = [part for both in zip(back.products, [*encoder.biases, *decoder.biases]) for part in both]
+            rest = [*back.gradients, *encoder.biases, *decoder.biases, *errors.gradients]
+            gradients = [*back.gradients, *of_layers, *errors.gradients]
+            gradient_sum = back.sum + sum(part.sum() for part in rest)
         total = _Differentiated.apply(loss.total, gradients, *network.parameters())
-        return loss._replace(total=total)
-
-    def _differentiate(
-        self,
-        network: ConditionalVAE,
-        pair: Batch,
-        noise: torch.Tensor,
-        beta: float,
-        gamma: float,
-        settle: Callable[[], None],
-    ) -> Tuple[Loss, List[torch.Tensor]]:
-        """The loss, and its gradients in the order of the network's parameters."""
-        images, size, width = self._images, len(noise), network.feature_size
-        encoder, decoder = (_Perceptron(part, images) for part in (network.encoder, network.decoder))
-        rows = torch.empty((size, width + network.state_size))
-        columns = torch.empty(rows.shape[::-1])
-        rows[:, width:], columns[width:] = pair.states[:size], pair.states[:size].t()
-        seen = images.look(network, pair.images[:size], rows[:, :width], columns[:width])
-        settle()
-        latent = _Latent(encoder.run(columns), noise.t())
-        sampled = torch.cat((latent.sample, latent.sample), dim=1)
-        decoded = decoder.run(torch.cat((sampled, pair.states.t())))
-        slopes, log_std = torch.empty_like(decoded), limited(decoded[0])
-        weights = error_weights(log_std, gamma)
-        errors = images.reconstruct(network, decoded[1:], pair.images, weights, slopes[1:])
-        loss = pair_loss(errors.each, log_std, latent.gaussian, beta, gamma)
-        slopes[0] = log_std_slopes(errors.each, log_std, gamma) * is_within_limits(decoded[0])
-        below = decoder.run_back(slopes)
-        of_sample = below[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
-        below = encoder.run_back(latent.slopes(of_sample, beta), rows)
-        back = images.look_back(seen, below[:, :width], [*encoder.pairs, *decoder.pairs])
-        of_layers = [part for both in zip(back.products, [*encoder.biases, *decoder.biases]) for part in both]
-        rest = [*back.gradients, *encoder.biases, *decoder.biases, *errors.gradients]
-        loss = loss._replace(gradient_sum=back.sum + sum(part.sum() for part in rest))
-        return loss, [*back.gradients, *of_layers, *errors.gradients]
+        return loss._replace(total=total, gradient_sum=gradient_sum)
 
 
 class _Latent:
