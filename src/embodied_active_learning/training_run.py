@@ -44,6 +44,7 @@ class TrainingRun:
         self._complete = False
         self._diverged_at, self._rollbacks_there = 0, 0
         self._restore()
+        self._refreshed = self._learner.snapshots.updates  # of the model that answers, or is about to
         # What a model that diverges before the first checkpoint goes back to.
         self._beginning = None if self._learner.updates else self._learner.state()
         self._training_table = self._open_table("training")
@@ -205,8 +206,8 @@ class TrainingRun:
         if report.update % training.evaluate_every == 0 or report.update == self._config.updates_planned:
             self._evaluation_table.append(dataclasses.asdict(self._learner.evaluate()))
         if report.update % training.updates_per_observation == 0:
-            self._learner.refresh()
-            self.wake()
+            self._learner.refresh_meanwhile(self.wake)
+            self._refreshed = report.update
         if report.update % training.checkpoint_every == 0:
             self._checkpoint()  # after the refresh, because it tells which model answers
         return report
@@ -221,14 +222,16 @@ class TrainingRun:
         checkpoint = load_latest(self._session.paths.checkpoints)
         good = self._beginning if checkpoint is None else (checkpoint.tensors, checkpoint.counters)
         self._learner.roll_back(*good)
+        self._refreshed = self._learner.snapshots.updates
         for table in (self._training_table, self._evaluation_table):
             table.truncate_after("update", self.updates)
         LOG.warning("%s. Going on from the good model of update %d", error, self.updates)
 
     def _wait_for_work(self, stop: threading.Event) -> None:
         """Sleep until there is something to do; before that, let everyone see the newest model."""
-        if self._learner.snapshots.updates != self._learner.updates:
+        if self._refreshed != self.updates:
             self._learner.refresh()
+            self._refreshed = self.updates
             self.wake()
         with self._changed:
             self._changed.wait_for(lambda: stop.is_set() or self._save_asked or self._has_work())
@@ -262,7 +265,7 @@ class TrainingRun:
     def _checkpoint(self) -> Path:
         """Have a checkpoint of what is known now -> its path. One that is there already is not written again."""
         learner = self._learner
-        content = self.updates, self.skipped, self.rollbacks, learner.snapshots.updates, self.observations
+        content = self.updates, self.skipped, self.rollbacks, self._refreshed, self.observations
         if self._checkpointed is not None:
             known, path = self._checkpointed
             if known == content and path.exists():

@@ -148,13 +148,25 @@ class Learner:
 
     def refresh(self) -> None:
         """Let the snapshots answer from the model as it is now; waits for those who still read the one before last."""
-        self.snapshots.take(dict(self.network.named_parameters()), self.updates)
+        self.refresh_meanwhile(lambda: None)
+        self._optimiser.settle()
+
+    def refresh_meanwhile(self, then: Callable[[], None]) -> None:
+        """The same in the background, while the next update begins. then: called from there as soon as it is so."""
+        weights, updates = dict(self._network.named_parameters()), self.updates
+
+        def take() -> None:
+            self.snapshots.take(weights, updates)
+            then()
+
+        self._optimiser.afterwards(take)
 
     def state(self) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
         """Copies of all that a continued run needs: tensors on the CPU, and plain numbers that JSON can hold.
 
         The model before the newest is among them, because it may be the one that is asked for next.
         """
+        self._optimiser.settle()
         counters = {
             "updates": self.updates,
             "skipped": self.skipped,
@@ -163,7 +175,7 @@ class Learner:
             "schedule": self.schedule.state_dict(),
             "generator": self._random.bit_generator.state,
         }
-        tensors = checkpoint.pack(self.network, self._optimiser)
+        tensors = checkpoint.pack(self._network, self._optimiser)
         earlier = self.snapshots.weights_before(self.updates)
         if earlier is not None:
             weights, counters["earlier_updates"] = earlier

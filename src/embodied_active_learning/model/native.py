@@ -17,6 +17,7 @@ Pair = Tuple[torch.Tensor, torch.Tensor]
 Task = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
+SMALL = 1 << 24  # multiplications that one thread has done before another would have woken up
 END = 2  # layers next to the image that are worked off together, a few rows at a time
 
 
@@ -214,7 +215,9 @@ class NativeImages:
             (rows, _), columns = left.shape, right.shape[1]
             out = left.new_empty((rows, columns))
             found.append(out)
-            if rows > columns:
+            if left.numel() * columns <= SMALL:
+                tasks.append((left, right, out))
+            elif rows > columns:
                 tasks += [(left[part], right, out[part]) for part in self._parts(rows)]
             else:
                 tasks += [(left, right[:, part], out[:, part]) for part in self._parts(columns)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Dict, Iterable, List, Optional
+from typing import Callable, Dict, Iterable, List
 
 import torch
 from torch import nn
@@ -26,7 +26,7 @@ class Optimiser:
         # A unit that is dead for some hundred updates has moments below 1e-38, with which processors are slow; as zeros
         # they change no weight.
         self._background = ThreadPoolExecutor(1, "adam", torch.set_flush_denormal, (True,))
-        self._pending: Optional[Future] = None
+        self._pending: List[Future] = []
 
     @property
     def state(self) -> Dict[nn.Parameter, Dict[str, torch.Tensor]]:
@@ -38,13 +38,17 @@ class Optimiser:
         self.settle()
         first, others = self.parts
         first.step()
-        self._pending = self._background.submit(others.step)
+        self.afterwards(others.step)
+
+    def afterwards(self, task: Callable[[], None]) -> None:
+        """Have a task done in the background, behind the step that is being taken."""
+        self._pending.append(self._background.submit(task))
 
     def settle(self) -> None:
-        """Wait until the last step is taken. Raises what went wrong in it."""
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            pending.result()
+        """Wait until the last step is taken, and what was to come afterwards is done. Raises what went wrong in it."""
+        pending, self._pending = self._pending, []
+        for task in pending:
+            task.result()
 
     def forget_gradients(self) -> None:
         """Begin with gradients anew."""
