@@ -11,7 +11,7 @@ from torch import nn
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE, Size
-from embodied_active_learning.model.kernels import Kernels, pack_weights
+from embodied_active_learning.model.kernels import Kernels
 from embodied_active_learning.model.native import NativeImages
 
 CHUNK = 64
@@ -51,7 +51,7 @@ class CompiledImages:
     def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
         """Images (B, H, W, 3) uint8 -> features (B, F)."""
         native, kernels, images = self._native, self._native.kernels, images.contiguous()
-        weights = pack_weights(list(network.image_encoder.parameters()))
+        weights = kernels.pack(native.layers, list(network.image_encoder.parameters()))
         found, inwards = torch.empty((len(images), native.feature_size)), range(1, len(weights) + 1)
 
         def encode(_: int, members: slice) -> None:
@@ -67,7 +67,7 @@ class CompiledImages:
     def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
         """Features (B, F) -> images (B, H, W, 3)."""
         native, kernels = self._native, self._native.kernels
-        weights = pack_weights(list(network.image_decoder.parameters()))[::-1]
+        weights = kernels.pack(native.layers[::-1], list(network.image_decoder.parameters()))[::-1]
         channels, *size = native.layers[0].wide
         images, all_sides = torch.empty((len(features), *size, channels)), range(len(weights) + 1)
 

@@ -18,19 +18,68 @@ typedef uint8_t bytes16 __attribute__((vector_size(16)));
 
 int lanes(void) { return LANES; }
 
-/* Weights (input channel, ky, kx, output channel) for going either way; biases of the side that is written. */
+/* Weights packed for going either way, and biases of the side that is written. */
 typedef struct {
     int kernel, stride;
     const float *narrowing, *widening, *bias;
 } layer;
 
-/* A layer as it is worked off. If paired, its weights are the taps of paired.h, in room of their own; failed: there was no
- * room. */
+/* A layer between its sides. If paired, its weights are the taps of paired.h, else (input channel, ky, kx, output
+ * channel). */
 typedef struct {
-    int kernel, stride, paired, failed;
+    int kernel, stride, paired;
     const float *narrowing, *widening, *bias;
-    float *room;
 } filter;
+
+INLINE int is_paired(int kernel, int stride, int columns) {
+    return ((kernel == 3 && stride == 2) || (kernel == 5 && stride == 3)) && columns > 1;
+}
+
+INLINE filter between(const layer *l, const side *narrow) {
+    return (filter){l->kernel, l->stride, is_paired(l->kernel, l->stride, narrow->columns), l->narrowing, l->widening,
+                    l->bias};
+}
+
+/* Columns, and rows, of the filters that pack() makes for a narrow side of so many columns. */
+int packed_taps(int kernel, int stride, int columns) {
+    return is_paired(kernel, stride, columns) ? TAPS_OF(kernel, stride) : kernel;
+}
+
+static void pack_one_way(const float *weights, long along, long across, int inputs, int outputs, int k, int s,
+                         int paired, float *out) {
+    if (paired) pair_taps(weights, along, across, inputs, outputs, k, s, out);
+    else for (int c = 0; c < inputs; c++)
+        for (int tap = 0; tap < k * k; tap++)
+            for (int o = 0; o < outputs; o++) *out++ = weights[c * along + o * across + tap];
+}
+
+/* Weights (narrow channel, wide channel, ky, kx) as narrowing and widening of a layer. */
+void pack(const float *weights, int narrow, int wide, int kernel, int stride, int columns, float *narrowing,
+          float *widening) {
+    int paired = is_paired(kernel, stride, columns), area = kernel * kernel;
+    pack_one_way(weights, area, (long)wide * area, wide, narrow, kernel, stride, paired, narrowing);
+    pack_one_way(weights, (long)wide * area, area, narrow, wide, kernel, stride, paired, widening);
+}
+
+/* Numbers of some images, number i of image n at rows[n * across + i * along], as a group, and the other way round. A
+ * group has zeros for the images that it lacks. */
+#define BLOCK_OF_NUMBERS 16
+
+void to_group(const float *rows, long across, long along, int count, long length, float *group) {
+    for (long from = 0; from < length; from += BLOCK_OF_NUMBERS) {
+        long to = from + BLOCK_OF_NUMBERS < length ? from + BLOCK_OF_NUMBERS : length;
+        for (int n = 0; n < LANES; n++)
+            for (long i = from; i < to; i++) group[i * LANES + n] = n < count ? rows[n * across + i * along] : 0.0f;
+    }
+}
+
+void from_group(const float *group, long length, float *rows, long across, long along, int count) {
+    for (long from = 0; from < length; from += BLOCK_OF_NUMBERS) {
+        long to = from + BLOCK_OF_NUMBERS < length ? from + BLOCK_OF_NUMBERS : length;
+        for (int n = 0; n < count; n++)
+            for (long i = from; i < to; i++) rows[n * across + i * along] = group[i * LANES + n];
+    }
+}
 
 #define START(N, P)                                                                                                    \
     vec sum[P][N];                                                                                                     \
@@ -236,23 +285,6 @@ static void take_gradient(const side *narrow, const side *wide, const filter *l,
     }
 }
 
-/* What is in `room` is to be freed. A layer without weights, whose gradient is wanted alone, needs none. */
-static filter prepare(const layer *l, const side *narrow, const side *wide) {
-    int k = l->kernel, s = l->stride, n = narrow->channels, w = wide->channels;
-    int paired = ((k == 3 && s == 2) || (k == 5 && s == 3)) && narrow->columns > 1;
-    filter made = {k, s, paired, 0, l->narrowing, l->widening, l->bias, 0};
-    if (!paired || !l->narrowing) return made;
-    long count = taps_before(w, n, k, s);
-    made.room = malloc(sizeof(float) * 2 * count);
-    made.failed = !made.room;
-    if (made.failed) return made;
-    pair_taps(l->narrowing, (long)k * k * n, n, w, n, k, s, made.room);
-    pair_taps(l->widening, (long)k * k * w, w, n, w, k, s, made.room + count);
-    made.narrowing = made.room;
-    made.widening = made.room + count;
-    return made;
-}
-
 static vec *zeros(long count) {
     vec *room = aligned_alloc(sizeof(vec), sizeof(vec) * count);
     if (room) memset(room, 0, sizeof(vec) * count);
@@ -270,32 +302,31 @@ static side ring(const side *s, int rows) {
 
 typedef void rows_of(const side *in, const side *out, const filter *l, const finish *f, int from, int to);
 
-static int whole(rows_of *rows, const side *in, const side *out, filter *l, int relu, const side *gate, float *totals) {
+static int whole(rows_of *rows, const side *in, const side *out, const filter *l, int relu, const side *gate, float *totals) {
     vec *sums = zeros(out->channels);
-    int failed = !sums || l->failed;
+    int failed = !sums;
     finish f = {l->bias, relu, gate, totals ? sums : 0};
     if (!failed) rows(in, out, l, &f, 0, out->rows);
     if (!failed && totals) add_lanes(sums, out->channels, totals);
     free(sums);
-    free(l->room);
     return -failed;
 }
 
 /* The narrow side = convolution of the wide one. Returns 0, or -1 when memory has run out. */
 int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
-    filter own = prepare(l, narrow, wide);
+    filter own = between(l, narrow);
     return whole(narrow_rows, wide, narrow, &own, relu, gate, totals);
 }
 
 /* The wide side = transposed convolution of the narrow one. Returns 0, or -1 when memory has run out. */
 int widen(const side *narrow, const side *wide, const layer *l, int relu, const side *gate, float *totals) {
-    filter own = prepare(l, narrow, wide);
+    filter own = between(l, narrow);
     return whole(widen_rows, narrow, wide, &own, relu, gate, totals);
 }
 
 /* Gradient of a weight: out[a][b][ky][kx] = sum narrow[a][y][x] wide[b][y s + ky][x s + kx]. Returns 0 or -1. */
 int correlate(const side *narrow, const side *wide, const layer *l, float *out) {
-    filter own = prepare(l, narrow, wide);
+    filter own = between(l, narrow);
     vec *sums = zeros(weights(narrow, wide, &own));
     if (!sums) return -1;
     correlate_rows(narrow, wide, &own, sums, 0, narrow->rows);
@@ -320,26 +351,44 @@ typedef struct {
     int count, rows, columns, channels;
 } pictures;
 
-INLINE bytes16 low_pairs(bytes16 a, bytes16 b) {
-    return __builtin_shuffle(a, b, (bytes16){0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23});
+/* 16 neighbouring bytes of each line -> 16 neighbouring vectors of bytes, one a line. */
+#ifdef __AVX512BW__
+INLINE void transpose(const uint8_t *const *line, int count, long at, uint8_t *out) {
+    const __m128i none = _mm_setzero_si128();
+    __m512i lines[4]; /* lines n, n + 4, n + 8 and n + 12, so that pairs of pairs are four neighbours */
+    UNROLL for (int n = 0; n < 4; n++) {
+#define LINE(i) (4 * i + n < count ? _mm_loadu_si128((const __m128i *)(line[4 * i + n] + at)) : none)
+        lines[n] = _mm512_inserti32x4(_mm512_castsi128_si512(LINE(0)), LINE(1), 1);
+        lines[n] = _mm512_inserti32x4(_mm512_inserti32x4(lines[n], LINE(2), 2), LINE(3), 3);
+#undef LINE
+    }
+    __m512i low = _mm512_unpacklo_epi8(lines[0], lines[1]), low_too = _mm512_unpacklo_epi8(lines[2], lines[3]);
+    __m512i high = _mm512_unpackhi_epi8(lines[0], lines[1]), high_too = _mm512_unpackhi_epi8(lines[2], lines[3]);
+    __m512i fours[4] = {_mm512_unpacklo_epi16(low, low_too), _mm512_unpackhi_epi16(low, low_too),
+                        _mm512_unpacklo_epi16(high, high_too), _mm512_unpackhi_epi16(high, high_too)};
+    const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+    UNROLL for (int i = 0; i < 4; i++) _mm512_storeu_si512(out + 64 * i, _mm512_permutexvar_epi32(order, fours[i]));
 }
-
-INLINE bytes16 high_pairs(bytes16 a, bytes16 b) {
-    return __builtin_shuffle(a, b, (bytes16){8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31});
-}
-
-/* 16 neighbouring bytes of each lane -> 16 neighbouring vectors of bytes, one a lane: interleaved again and again. */
-INLINE void transpose(bytes16 *lines, uint8_t *out) {
-    for (int round = 1; round < LANES; round *= 2) {
+#else
+INLINE void transpose(const uint8_t *const *line, int count, long at, uint8_t *out) {
+    bytes16 lines[LANES];
+    UNROLL for (int n = 0; n < LANES; n++) {
+        lines[n] = (bytes16){0};
+        if (n < count) memcpy(&lines[n], line[n] + at, 16);
+    }
+    for (int round = 1; round < LANES; round *= 2) { /* interleaved again and again */
         bytes16 pairs[LANES];
         UNROLL for (int i = 0; i < LANES / 2; i++) {
-            pairs[2 * i] = low_pairs(lines[i], lines[i + LANES / 2]);
-            pairs[2 * i + 1] = high_pairs(lines[i], lines[i + LANES / 2]);
+            bytes16 a = lines[i], b = lines[i + LANES / 2];
+            pairs[2 * i] = __builtin_shuffle(a, b, (bytes16){0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23});
+            pairs[2 * i + 1] =
+                __builtin_shuffle(a, b, (bytes16){8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31});
         }
         UNROLL for (int i = 0; i < LANES; i++) lines[i] = pairs[i];
     }
     memcpy(out, lines, 16 * LANES);
 }
+#endif
 
 /* Row y of the pictures as (columns * channels, LANES) bytes; zero beyond count. */
 static void read_row(const pictures *p, int y, uint8_t *out) {
@@ -347,14 +396,7 @@ static void read_row(const pictures *p, int y, uint8_t *out) {
     const uint8_t *line[LANES];
     for (int lane = 0; lane < p->count; lane++) line[lane] = p->images[lane] + (long)y * length;
     int i = 0;
-    for (; i + 16 <= length; i += 16) {
-        bytes16 lines[LANES];
-        UNROLL for (int lane = 0; lane < LANES; lane++) {
-            lines[lane] = (bytes16){0};
-            if (lane < p->count) memcpy(&lines[lane], line[lane] + i, 16);
-        }
-        transpose(lines, out + (long)i * LANES);
-    }
+    for (; i + 16 <= length; i += 16) transpose(line, p->count, i, out + (long)i * LANES);
     for (; i < length; i++)
         for (int lane = 0; lane < LANES; lane++) out[(long)i * LANES + lane] = lane < p->count ? line[lane][i] : 0;
 }
@@ -430,11 +472,11 @@ static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p-
 int look(const pictures *p, const layer *near, const layer *far, const side *values, const side *out, int relu) {
     int two = far->kernel != 0;
     side all = image_of(p);
-    filter one = prepare(near, values, &all), other = two ? prepare(far, out, values) : (filter){0};
+    filter one = between(near, values), other = two ? between(far, out) : (filter){0};
     const filter *first = &one, *second = &other;
     side image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
     uint8_t *line = line_of(p);
-    int failed = !image.values || !line || first->failed || second->failed;
+    int failed = !image.values || !line;
     finish f = {first->bias, two || relu, 0, 0}, last = {second->bias, relu, 0, 0};
     for (int from = 0, done = 0, made = 0; from < values->rows && !failed; from += STRIP) {
         int to = least(from + STRIP, values->rows), end = (to - 1) * first->stride + first->kernel;
@@ -450,8 +492,6 @@ int look(const pictures *p, const layer *near, const layer *far, const side *val
     }
     free(image.values);
     free(line);
-    free(one.room);
-    free(other.room);
     return -failed;
 }
 
@@ -463,19 +503,19 @@ int look(const pictures *p, const layer *near, const layer *far, const side *val
 int look_back(const pictures *p, const layer *near, const layer *far, const side *values, const side *slopes,
               float *first_weight, float *first_bias, float *second_weight) {
     int two = values->values != 0;
-    const side *between = two ? values : slopes;
+    const side *middle = two ? values : slopes;
     side all = image_of(p);
-    filter one = prepare(near, between, &all), other = two ? prepare(far, slopes, values) : (filter){0};
+    filter one = between(near, middle), other = two ? between(far, slopes) : (filter){0};
     const filter *first = &one, *second = &other;
     side image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
     side inner = two ? ring(values, WIDE_STRIP) : *slopes;
-    long counts[2] = {weights(between, &image, first), two ? weights(slopes, values, second) : 0};
-    vec *sums = zeros(counts[0] + counts[1] + between->channels);
+    long counts[2] = {weights(middle, &image, first), two ? weights(slopes, values, second) : 0};
+    vec *sums = zeros(counts[0] + counts[1] + middle->channels);
     uint8_t *line = line_of(p);
-    int failed = !image.values || !inner.values || !sums || !line || first->failed || second->failed;
+    int failed = !image.values || !inner.values || !sums || !line;
     finish f = {0, 0, values, sums ? sums + counts[0] + counts[1] : 0};
-    for (int from = 0, done = 0, seen = 0; from < between->rows && !failed; from += STRIP) {
-        int to = least(from + STRIP, between->rows), end = (to - 1) * first->stride + first->kernel;
+    for (int from = 0, done = 0, seen = 0; from < middle->rows && !failed; from += STRIP) {
+        int to = least(from + STRIP, middle->rows), end = (to - 1) * first->stride + first->kernel;
         read_rows(p, &image, line, done, end);
         done = end;
         if (two) {
@@ -485,21 +525,19 @@ int look_back(const pictures *p, const layer *near, const layer *far, const side
                 seen = ready;
             }
             if (from % WIDE_STRIP == 0)
-                widen_rows(slopes, &inner, second, &f, from, least(from + WIDE_STRIP, between->rows));
+                widen_rows(slopes, &inner, second, &f, from, least(from + WIDE_STRIP, middle->rows));
         }
         correlate_rows(&inner, &image, first, sums, from, to);
     }
     if (!failed) {
-        take_gradient(between, &image, first, sums, first_weight);
+        take_gradient(middle, &image, first, sums, first_weight);
         if (two) take_gradient(slopes, values, second, sums + counts[0], second_weight);
-        if (two) add_lanes(f.totals, between->channels, first_bias);
+        if (two) add_lanes(f.totals, middle->channels, first_bias);
     }
     if (two) free(inner.values);
     free(image.values);
     free(sums);
     free(line);
-    free(one.room);
-    free(other.room);
     return -failed;
 }
 
@@ -517,12 +555,12 @@ typedef struct {
  * not positive, if relu. Without a layer before the last one (before->kernel = 0) values are the last layer's input.
  * Returns 0, or -1 without memory.
  */
-int reconstruct(const side *values, const layer *near, const layer *far, const side *between, const pictures *p,
+int reconstruct(const side *values, const layer *near, const layer *far, const side *behind, const pictures *p,
                 const float *scale, int relu, const gradients *g) {
     int two = far->kernel != 0;
-    const side *middle = two ? between : values;
+    const side *middle = two ? behind : values;
     side all = image_of(p);
-    filter one = prepare(near, middle, &all), other = two ? prepare(far, values, middle) : (filter){0};
+    filter one = between(near, middle), other = two ? between(far, values) : (filter){0};
     const filter *last = &one, *before = &other;
     /* A kernel smaller than its stride leaves rows between the strips, and behind the last. */
     int high = STRIP * last->stride + (last->kernel > last->stride ? last->kernel : last->stride) - 1;
@@ -533,7 +571,7 @@ int reconstruct(const side *values, const layer *near, const layer *far, const s
     long counts[2] = {weights(middle, &image, last), two ? weights(values, middle, before) : 0};
     vec *sums = zeros(counts[0] + counts[1] + p->channels + middle->channels + values->channels);
     uint8_t *line = line_of(p);
-    int failed = !image.values || !inner.values || !flow.values || !sums || !line || last->failed || before->failed;
+    int failed = !image.values || !inner.values || !flow.values || !sums || !line;
     vec *image_totals = sums + counts[0] + counts[1];
     vec *middle_totals = image_totals + p->channels, *totals = middle_totals + middle->channels;
     double errors[LANES] = {0};
@@ -577,8 +615,6 @@ int reconstruct(const side *values, const layer *near, const layer *far, const s
     free(image.values);
     free(sums);
     free(line);
-    free(one.room);
-    free(other.room);
     return -failed;
 }
 

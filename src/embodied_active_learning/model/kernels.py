@@ -22,7 +22,7 @@ class Layer(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """A weight (narrow channels, wide channels, k, k) packed for going either way, and the bias if there is one."""
+    """What Kernels.pack makes of a layer's weights for going either way, and the bias if there is one."""
 
     narrowing: torch.Tensor
     widening: torch.Tensor
@@ -47,17 +47,6 @@ class EndGradients(NamedTuple):
     totals: torch.Tensor
 
 
-def pack_weights(parameters: Sequence[torch.Tensor]) -> List[Weights]:
-    """Weight, bias, weight, bias, ... -> one Weights a layer."""
-    pairs = zip(parameters[::2], parameters[1::2])
-    return [
-        Weights(
-            weight.detach().permute(1, 2, 3, 0).contiguous(), weight.detach().permute(0, 2, 3, 1).contiguous(), bias
-        )
-        for weight, bias in pairs
-    ]
-
-
 class Kernels:
     """Typed calls into the library. Tensors are contiguous float32 on the CPU, values (C, H, W, lanes), unless said.
 
@@ -69,15 +58,29 @@ class Kernels:
         self.lanes: int = library.lanes()
         self.panel: int = library.panel()
 
+    def pack(self, layers: Sequence[Layer], parameters: Sequence[torch.Tensor]) -> List[Weights]:
+        """Weight (narrow channels, wide channels, k, k), bias, weight, bias, ... -> one Weights a layer."""
+        pairs = zip(layers, parameters[::2], parameters[1::2])
+        return [self._pack(layer, weight.detach().contiguous(), bias) for layer, weight, bias in pairs]
+
+    def _pack(self, layer: Layer, weight: torch.Tensor, bias: torch.Tensor) -> Weights:
+        narrow, wide, kernel, _ = weight.shape
+        columns = layer.narrow[2]
+        taps = self._library.packed_taps(kernel, layer.stride, columns)
+        made = Weights(*(torch.empty(narrow * wide * taps * taps) for _ in range(2)), bias)
+        shape = narrow, wide, kernel, layer.stride, columns
+        self._library.pack(weight.data_ptr(), *shape, made.narrowing.data_ptr(), made.widening.data_ptr())
+        return made
+
     def to_group(self, rows: torch.Tensor, out: torch.Tensor) -> None:
         """Rows (B, F), any strides, of at most `lanes` images -> one group (..., lanes), zero beyond B."""
-        values = out.numpy().reshape(-1, self.lanes)
-        values[:, len(rows) :] = 0.0
-        values[:, : len(rows)] = rows.numpy().T
+        count, length = rows.shape
+        self._library.to_group(rows.data_ptr(), *rows.stride(), count, length, out.data_ptr())
 
     def from_group(self, values: torch.Tensor, out: torch.Tensor) -> None:
-        """One group (..., lanes) -> rows (B, F) of at most `lanes` images."""
-        out.numpy()[:] = values.numpy().reshape(-1, self.lanes).T[: len(out)]
+        """One group (..., lanes) -> rows (B, F), any strides, of at most `lanes` images."""
+        count, length = out.shape
+        self._library.from_group(values.data_ptr(), length, out.data_ptr(), *out.stride(), count)
 
     def narrow(
         self,
@@ -236,6 +239,10 @@ def signatures() -> Dict[str, Tuple[Any, List[Any]]]:
     return {
         "lanes": (number, []),
         "panel": (number, []),
+        "packed_taps": (number, [number, number, number]),
+        "pack": (None, [address, number, number, number, number, number, address, address]),
+        "to_group": (None, [address, length, length, number, length, address]),
+        "from_group": (None, [address, length, address, length, length, number]),
         "narrow": convolution,
         "widen": convolution,
         "correlate": (number, [side, side, layer, address]),

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
-from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer, Weights, pack_weights
+from embodied_active_learning.model.kernels import EndGradients, Kernels, Layer, Weights
 from embodied_active_learning.model.objective import Images
 
 Pair = Tuple[torch.Tensor, torch.Tensor]
@@ -70,7 +70,7 @@ class NativeImages:
         """
         kernels = self.kernels
         parameters = list(network.image_encoder.parameters())
-        weights = pack_weights(parameters)
+        weights = kernels.pack(self.layers, parameters)
         values = self.borrow(self._groups(len(images)), range(1, len(self.layers) + 1))
 
         def encode(group: int, members: slice) -> None:
@@ -136,7 +136,7 @@ class NativeImages:
         kernels, layers = self.kernels, self.layers
         pixels, is_gated = images[0].numel(), len(self.layers) > END
         parameters = list(network.image_decoder.parameters())
-        packed = pack_weights(parameters)[::-1]
+        packed = kernels.pack(layers[::-1], parameters)[::-1]
         scales, errors = weights[:, None] * (2.0 / pixels), torch.empty((len(images), 1))
         gradients = _gradients_of(parameters, self._groups(len(images)))
 

@@ -45,7 +45,7 @@ INLINE long taps_before(int o, int inputs, int k, int s) { return (long)o * inpu
     if (is_difference) name -= minus[i]
 
 #define PRODUCTS(m, value, column)                                                                                     \
-    UNROLL for (int i = 0; i < n; i++) sum[m][i] += value * tap[(column) * n + i]
+    UNROLL for (int i = 0; i < n; i++) ADD_PRODUCT(sum[m][i], value, tap[(column) * n + i])
 
 /* Store one value. */
 INLINE vec deliver(const finish *f, vec *to, const vec *gate, float bias, vec value) {
@@ -424,8 +424,8 @@ INLINE void correlate_paired(const side *narrow, const side *wide, vec *sums, in
     }
 }
 
-/* Taps, as taps_before counts them, from weights[input * step + (ky k + kx) * across + output]. */
-static void pair_taps(const float *weights, long step, long across, int inputs, int outputs, int k, int s,
+/* Taps, as taps_before counts them, from weights[input * along + output * across + ky k + kx]. */
+static void pair_taps(const float *weights, long along, long across, int inputs, int outputs, int k, int s,
                       float *taps) {
     for (int o = 0, n; o < outputs; o += n) {
         n = width(outputs - o);
@@ -433,13 +433,13 @@ static void pair_taps(const float *weights, long step, long across, int inputs, 
             for (int v = 0; v < TAPS_OF(k, s); v++)
                 for (int h = 0; h < TAPS_OF(k, s); h++, taps += n) {
                     int ky = v < k ? v : v - k, kx = h < k ? h : h - k;
-                    const float *tap = weights + c * step + (ky * k + kx) * across + o;
-                    long below = v < k ? 0 : s * k * across, right = h < k ? 0 : s * across;
-                    for (int i = 0; i < n; i++) {
-                        taps[i] = tap[i];
-                        if (right) taps[i] += tap[right + i];
-                        if (below) taps[i] += tap[below + i];
-                        if (right && below) taps[i] += tap[right + below + i];
+                    const float *tap = weights + c * along + o * across + ky * k + kx;
+                    int below = v < k ? 0 : s * k, right = h < k ? 0 : s;
+                    for (int i = 0; i < n; i++, tap += across) {
+                        taps[i] = tap[0];
+                        if (right) taps[i] += tap[right];
+                        if (below) taps[i] += tap[below];
+                        if (right && below) taps[i] += tap[right + below];
                     }
                 }
     }

@@ -29,6 +29,14 @@ typedef int32_t mask __attribute__((vector_size(4 * LANES)));
 #define LOAD(name, from) vec name = from
 #endif
 
+/* sum += value factor, the factor from memory: the compiler would rather keep factors in registers, which are for sums. */
+#ifdef __AVX512F__
+#define ADD_PRODUCT(sum, value, factor)                                                                                \
+    __asm__("vfmadd231ps %2%{1to16%}, %1, %0" : "+v"(sum) : "v"(value), "m"(factor))
+#else
+#define ADD_PRODUCT(sum, value, factor) sum += value * factor
+#endif
+
 /* Values on one side of a layer. Of its rows only `kept` are in memory, row y in place y & places: all of them with
  * places = -1, the last few in a ring with places = kept - 1, kept a power of two. */
 typedef struct {
