@@ -246,9 +246,9 @@ class Learner:
         else:
             pair = self._reader.read(np.concatenate(halves))
             loss = self.arithmetic.loss(self.network, pair, *inputs)
-        self._optimiser.forget_gradients()
-        loss.total.backward()
-        return Loss(*(None if term is None else term.detach() for term in loss))
+        loss.hand_over_gradients(self._network)
+        terms = (None if term is None else term.detach() for term in loss._replace(gradients=None))
+        return Loss(*terms)
 
     def _count(self, update: int) -> int:
         """Observations that update number `update`, from 0, looks at: the first so many."""

@@ -7,11 +7,10 @@ thread busy for as long as a layer takes two.
 
 from __future__ import annotations
 
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Callable, List, Optional
 
 import torch
 from torch import nn
-from torch.autograd.function import once_differentiable
 
 from embodied_active_learning.model.cvae import ConditionalVAE, is_within_limits, latent_gaussian, limited
 from embodied_active_learning.model.native import NativeImages, Pair
@@ -58,8 +57,7 @@ class NativeLoss:
             rest = [*back.gradients, *encoder.biases, *decoder.biases, *errors.gradients]
             gradients = [*back.gradients, *of_layers, *errors.gradients]
             gradient_sum = back.sum + sum(part.sum() for part in rest)
-        total = _Differentiated.apply(loss.total, gradients, *network.parameters())
-        return loss._replace(total=total, gradient_sum=gradient_sum)
+        return loss._replace(gradients=gradients, gradient_sum=gradient_sum)
 
 
 class _Latent:
@@ -117,25 +115,3 @@ class _Perceptron:
             if index:
                 slopes *= rows.sign()  # 0 or 1: no number behind a ReLU is negative
         return slopes
-
-
-class _Differentiated(torch.autograd.Function):
-    """A loss whose gradients are known: hands them to the parameters when they are asked for."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, loss: torch.Tensor, gradients: List[torch.Tensor], *_parameters: torch.Tensor
-    ) -> torch.Tensor:
-        ctx.gradients = gradients
-        return loss.clone()
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: torch.Tensor) -> Tuple[Optional[torch.Tensor], ...]:
-        # Handed over rather than shared, or each parameter would take a copy.
-        gradients, ctx.gradients = ctx.gradients, None
-        if gradients is None:
-            raise RuntimeError("gradients of the compiled loss can be taken once: they are given away")
-        if float(upstream) != 1.0:
-            gradients = [upstream * gradient for gradient in gradients]
-        return (None, None, *gradients)

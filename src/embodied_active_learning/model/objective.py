@@ -6,6 +6,7 @@ import math
 from typing import Callable, NamedTuple, Optional, Sequence
 
 import torch
+from torch import nn
 
 from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian, float_images
 
@@ -29,7 +30,8 @@ class Batch(NamedTuple):
 class Loss(NamedTuple):
     """The loss, its terms (scalars, before weighting) and the latent means (B, L) they were computed with.
 
-    gradient_sum: of all elements of all gradients, where these were taken along with the loss.
+    gradients: of the loss by each of the network's parameters, and the sum of all their elements, where they were taken
+    along with it; otherwise autograd takes them.
     """
 
     total: torch.Tensor
@@ -37,7 +39,17 @@ class Loss(NamedTuple):
     conditional_reconstruction: torch.Tensor
     kl: torch.Tensor
     latent_means: torch.Tensor
+    gradients: Optional[Sequence[torch.Tensor]] = None
     gradient_sum: Optional[torch.Tensor] = None
+
+    def hand_over_gradients(self, network: nn.Module) -> None:
+        """Give each parameter its gradient, in place of the one that it had."""
+        parameters = list(network.parameters())
+        gradients = self.gradients
+        if gradients is None:
+            gradients = torch.autograd.grad(self.total, parameters, allow_unused=True)
+        for parameter, gradient in zip(parameters, gradients):
+            parameter.grad = gradient
 
 
 class Arithmetic(NamedTuple):

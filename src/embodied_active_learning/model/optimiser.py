@@ -34,7 +34,7 @@ class Optimiser:
         return {parameter: state for part in self.parts for parameter, state in part.state.items()}
 
     def step(self) -> None:
-        """Take a step from the gradients that are there."""
+        """Take a step from the gradients that the parameters have."""
         self.settle()
         first, others = self.parts
         first.step()
@@ -49,11 +49,6 @@ class Optimiser:
         pending, self._pending = self._pending, []
         for task in pending:
             task.result()
-
-    def forget_gradients(self) -> None:
-        """Begin with gradients anew."""
-        for part in self.parts:
-            part.zero_grad(set_to_none=True)
 
 
 def _adam(parameters: Iterable[nn.Parameter], learning_rate: float) -> torch.optim.Adam:
