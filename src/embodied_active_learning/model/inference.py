@@ -50,35 +50,29 @@ class CompiledImages:
 
     def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
         """Images (B, H, W, 3) uint8 -> features (B, F)."""
-        native, kernels, images = self._native, self._native.kernels, images.contiguous()
-        weights = kernels.pack(native.layers, list(network.image_encoder.parameters()))
-        found, inwards = torch.empty((len(images), native.feature_size)), range(1, len(weights) + 1)
+        native, images = self._native, images.contiguous()
+        chain, found = native.encoder_chain(network), torch.empty((len(images), native.feature_size))
 
         def encode(_: int, members: slice) -> None:
-            borrowed = native.borrow(1, inwards)
-            sides = [side[0] for side in borrowed]
-            native.encode(weights, images[members], sides)
-            kernels.from_group(sides[-1], found[members])
-            native.give_back(borrowed, 1, inwards)
+            room = native.borrow(native.inwards)
+            native.kernels.encode(chain, images[members], room, found[members])
+            native.give_back(room, native.inwards)
 
         native.for_each_group(len(images), encode)
         return found
 
     def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
         """Features (B, F) -> images (B, H, W, 3)."""
-        native, kernels = self._native, self._native.kernels
-        weights = kernels.pack(native.layers[::-1], list(network.image_decoder.parameters()))[::-1]
+        native, chain = self._native, self._native.decoder_chain(network)
         channels, *size = native.layers[0].wide
-        images, all_sides = torch.empty((len(features), *size, channels)), range(len(weights) + 1)
+        images, all_sides = torch.empty((len(features), *size, channels)), range(len(native.layers) + 1)
 
         def decode(_: int, members: slice) -> None:
-            borrowed = native.borrow(1, all_sides)
-            sides = [side[0] for side in borrowed]
-            kernels.to_group(features[members], sides[-1])
-            native.decode(weights, sides)
+            room = native.borrow(all_sides)
+            native.kernels.decode(chain, features[members], room)
             shown = images[members].numpy()
-            shown[:] = sides[0].numpy().transpose(3, 1, 2, 0)[: len(shown)]
-            native.give_back(borrowed, 1, all_sides)
+            shown[:] = room.tensors[0].numpy().transpose(3, 1, 2, 0)[: len(shown)]
+            native.give_back(room, all_sides)
 
         native.for_each_group(len(images), decode)
         return images

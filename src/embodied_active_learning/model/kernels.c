@@ -61,24 +61,35 @@ void pack(const float *weights, int narrow, int wide, int kernel, int stride, in
     pack_one_way(weights, (long)wide * area, area, narrow, wide, kernel, stride, paired, widening);
 }
 
-/* Numbers of some images, number i of image n at rows[n * across + i * along], as a group, and the other way round. A
- * group has zeros for the images that it lacks. */
+/* Numbers of some images outside of groups: number i of image n at first[n * across + i * along]. */
+typedef struct {
+    float *first;
+    long across, along;
+} numbers;
+
+INLINE long size_of(const side *s) { return (long)s->channels * s->rows * s->columns; }
+
 #define BLOCK_OF_NUMBERS 16
 
-void to_group(const float *rows, long across, long along, int count, long length, float *group) {
-    for (long from = 0; from < length; from += BLOCK_OF_NUMBERS) {
-        long to = from + BLOCK_OF_NUMBERS < length ? from + BLOCK_OF_NUMBERS : length;
+/* The numbers of `count` images as values of a group, zero for the images that it lacks. */
+static void to_group(const numbers *in, int count, const side *out) {
+    long size = size_of(out);
+    if (in->across == 1 && count == LANES)
+        for (long i = 0; i < size; i++) out->values[i] = *(const loose_vec *)(in->first + i * in->along);
+    else for (long from = 0; from < size; from += BLOCK_OF_NUMBERS)
         for (int n = 0; n < LANES; n++)
-            for (long i = from; i < to; i++) group[i * LANES + n] = n < count ? rows[n * across + i * along] : 0.0f;
-    }
+            for (long i = from; i < size && i < from + BLOCK_OF_NUMBERS; i++)
+                ((float *)(out->values + i))[n] = n < count ? in->first[n * in->across + i * in->along] : 0.0f;
 }
 
-void from_group(const float *group, long length, float *rows, long across, long along, int count) {
-    for (long from = 0; from < length; from += BLOCK_OF_NUMBERS) {
-        long to = from + BLOCK_OF_NUMBERS < length ? from + BLOCK_OF_NUMBERS : length;
+static void from_group(const side *in, int count, const numbers *out) {
+    long size = size_of(in);
+    if (out->across == 1 && count == LANES)
+        for (long i = 0; i < size; i++) *(loose_vec *)(out->first + i * out->along) = in->values[i];
+    else for (long from = 0; from < size; from += BLOCK_OF_NUMBERS)
         for (int n = 0; n < count; n++)
-            for (long i = from; i < to; i++) rows[n * across + i * along] = group[i * LANES + n];
-    }
+            for (long i = from; i < size && i < from + BLOCK_OF_NUMBERS; i++)
+                out->first[n * out->across + i * out->along] = ((const float *)(in->values + i))[n];
 }
 
 #define START(N, P)                                                                                                    \
@@ -313,19 +324,19 @@ static int whole(rows_of *rows, const side *in, const side *out, const filter *l
 }
 
 /* The narrow side = convolution of the wide one. Returns 0, or -1 when memory has run out. */
-int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
+static int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
     filter own = between(l, narrow);
     return whole(narrow_rows, wide, narrow, &own, relu, gate, totals);
 }
 
 /* The wide side = transposed convolution of the narrow one. Returns 0, or -1 when memory has run out. */
-int widen(const side *narrow, const side *wide, const layer *l, int relu, const side *gate, float *totals) {
+static int widen(const side *narrow, const side *wide, const layer *l, int relu, const side *gate, float *totals) {
     filter own = between(l, narrow);
     return whole(widen_rows, narrow, wide, &own, relu, gate, totals);
 }
 
 /* Gradient of a weight: out[a][b][ky][kx] = sum narrow[a][y][x] wide[b][y s + ky][x s + kx]. Returns 0 or -1. */
-int correlate(const side *narrow, const side *wide, const layer *l, float *out) {
+static int correlate(const side *narrow, const side *wide, const layer *l, float *out) {
     filter own = between(l, narrow);
     vec *sums = zeros(weights(narrow, wide, &own));
     if (!sums) return -1;
@@ -336,7 +347,7 @@ int correlate(const side *narrow, const side *wide, const layer *l, float *out) 
 }
 
 /* out[c] = sum over rows, columns and images. */
-void channel_sums(const side *s, float *out) {
+static void channel_sums(const side *s, float *out) {
     long plane = (long)s->rows * s->columns;
     for (int c = 0; c < s->channels; c++) {
         vec sum = {0};
@@ -469,7 +480,7 @@ static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p-
  * the second if relu. Without a second one (second->kernel = 0) values are the end, with relu if relu. Returns 0, or -1
  * without memory.
  */
-int look(const pictures *p, const layer *near, const layer *far, const side *values, const side *out, int relu) {
+static int look(const pictures *p, const layer *near, const layer *far, const side *values, const side *out, int relu) {
     int two = far->kernel != 0;
     side all = image_of(p);
     filter one = between(near, values), other = two ? between(far, out) : (filter){0};
@@ -500,7 +511,7 @@ int look(const pictures *p, const layer *near, const layer *far, const side *val
  * values: between the two; slopes: behind the second. Without a second one (values->values = 0) slopes are behind the
  * first, and its bias is left alone. Returns 0, or -1 without memory.
  */
-int look_back(const pictures *p, const layer *near, const layer *far, const side *values, const side *slopes,
+static int look_back(const pictures *p, const layer *near, const layer *far, const side *values, const side *slopes,
               float *first_weight, float *first_bias, float *second_weight) {
     int two = values->values != 0;
     const side *middle = two ? values : slopes;
@@ -542,12 +553,12 @@ int look_back(const pictures *p, const layer *near, const layer *far, const side
 }
 
 /* The gradients that reconstruct leaves behind. */
-typedef struct {
+struct gradients {
     float *errors;                                                /* (LANES) sums of squared differences */
     float *last_weight, *last_bias, *before_weight, *before_bias; /* of the last two layers */
-    float *totals;                                                /* (channels) of slopes */
+    float *totals;                                                /* (channels) of slopes, where they are wanted */
     const side *slopes;                                           /* where values came in */
-} gradients;
+};
 
 /* The decoder's last two layers and back: values -> image, compared with pictures.
  *
@@ -555,8 +566,8 @@ typedef struct {
  * not positive, if relu. Without a layer before the last one (before->kernel = 0) values are the last layer's input.
  * Returns 0, or -1 without memory.
  */
-int reconstruct(const side *values, const layer *near, const layer *far, const side *behind, const pictures *p,
-                const float *scale, int relu, const gradients *g) {
+static int reconstruct(const side *values, const layer *near, const layer *far, const side *behind, const pictures *p,
+                const float *scale, int relu, const struct gradients *g) {
     int two = far->kernel != 0;
     const side *middle = two ? behind : values;
     side all = image_of(p);
@@ -608,7 +619,7 @@ int reconstruct(const side *values, const layer *near, const layer *far, const s
         add_lanes(image_totals, p->channels, g->last_bias);
         if (two) take_gradient(values, middle, before, sums + counts[0], g->before_weight);
         if (two) add_lanes(middle_totals, middle->channels, g->before_bias);
-        add_lanes(two ? totals : middle_totals, values->channels, g->totals);
+        if (g->totals) add_lanes(two ? totals : middle_totals, values->channels, g->totals);
     }
     if (two) free(inner.values);
     if (two) free(flow.values);
@@ -616,6 +627,84 @@ int reconstruct(const side *values, const layer *near, const layer *far, const s
     free(sums);
     free(line);
     return -failed;
+}
+
+/* What Python calls for one group of images: the whole encoder or decoder, there or back.
+ *
+ * layers: count of them, from the image inwards. sides: count + 1 of them; that of the image, and behind each layer.
+ * gradients: of weight, bias, weight, ... from the image inwards. All return 0, or -1 when memory has run out.
+ */
+
+#define NEAR 2 /* layers next to the image that are worked off together */
+
+int near_layers(void) { return NEAR; }
+
+static const layer NONE = {0, 0, 0, 0, 0};
+
+static const layer *second_of(const layer *layers, int count) { return count > 1 ? layers + 1 : &NONE; }
+
+static layer without_bias(const layer *l) { return (layer){l->kernel, l->stride, l->narrowing, l->widening, 0}; }
+
+/* Pictures -> values on all sides, the last ones also as numbers, in each of `copies` places. */
+int encode(const pictures *p, const layer *layers, const side *sides, int count, const numbers *out, int copies) {
+    int near = least(count, NEAR);
+    int failed = look(p, layers, second_of(layers, count), sides + 1, sides + near, count > near);
+    for (int i = near; i < count && !failed; i++)
+        failed = narrow(sides + i, sides + i + 1, layers + i, i + 1 < count, 0, 0);
+    for (int i = 0; i < copies && !failed; i++) from_group(sides + count, p->count, out + i);
+    return failed;
+}
+
+/* Slopes at what encode() has left -> gradients. flow: room for the slopes on the sides from NEAR on. */
+int encode_back(const pictures *p, const layer *layers, const side *sides, const side *flow, int count,
+                const numbers *slopes, float *const *gradients) {
+    int near = least(count, NEAR), failed = 0;
+    to_group(slopes, p->count, flow + count);
+    channel_sums(flow + count, gradients[2 * count - 1]);
+    for (int i = count - 1; i >= near && !failed; i--) {
+        layer back = without_bias(layers + i);
+        failed = correlate(flow + i + 1, sides + i, layers + i, gradients[2 * i]);
+        if (!failed) failed = widen(flow + i + 1, flow + i, &back, 0, sides + i, gradients[2 * i - 1]);
+    }
+    if (failed) return failed;
+    if (near == 1) return look_back(p, layers, &NONE, sides, flow + 1, gradients[0], 0, 0);
+    return look_back(p, layers, layers + 1, sides + 1, flow + 2, gradients[0], gradients[1], gradients[2]);
+}
+
+/* Features of `images` images -> values on the sides down to `nearest`. */
+int decode(const numbers *features, int images, const layer *layers, const side *sides, int count, int nearest) {
+    int failed = 0;
+    to_group(features, images, sides + count);
+    for (int i = count - 1; i >= nearest && !failed; i--)
+        failed = widen(sides + i + 1, sides + i, layers + i, i > 0, 0, 0);
+    return failed;
+}
+
+/* Features -> images, compared with pictures, and back: gradients, and slopes at the features, of the sum over images of
+ * scales / 2 times the squared differences, which are left in errors. sides, flow: room for values and slopes from NEAR
+ * on. */
+int decode_back(const numbers *features, const pictures *p, const float *scales, const layer *layers, const side *sides,
+                const side *flow, int count, const numbers *slopes, float *errors, float *const *gradients) {
+    int near = least(count, NEAR), deep = count > near;
+    float scale[LANES] = {0}, squares[LANES];
+    memcpy(scale, scales, sizeof(float) * p->count);
+    struct gradients found = {squares, gradients[0], gradients[1], near > 1 ? gradients[2] : 0,
+                              near > 1 ? gradients[3] : 0, deep ? gradients[2 * near + 1] : 0, flow + near};
+    int failed = decode(features, p->count, layers, sides, count, near);
+    if (!failed)
+        failed = reconstruct(sides + near, layers, second_of(layers, count), sides + 1, p, scale, deep, &found);
+    for (int i = near; i < count && !failed; i++) {
+        layer back = without_bias(layers + i);
+        int further = i + 1 < count;
+        failed = correlate(sides + i + 1, flow + i, layers + i, gradients[2 * i]);
+        if (!failed)
+            failed = narrow(flow + i, flow + i + 1, &back, 0, further ? sides + i + 1 : 0,
+                            further ? gradients[2 * i + 3] : 0);
+    }
+    if (failed) return failed;
+    from_group(flow + count, p->count, slopes);
+    memcpy(errors, squares, sizeof(float) * p->count);
+    return 0;
 }
 
 #define PANEL 4     /* vectors of columns that are worked off together */

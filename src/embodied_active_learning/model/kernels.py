@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
 import torch
 
@@ -21,30 +21,18 @@ class Layer(NamedTuple):
     stride: int
 
 
-class Weights(NamedTuple):
-    """What Kernels.pack makes of a layer's weights for going either way, and the bias if there is one."""
+class Chain(NamedTuple):
+    """Layers from the image inwards, with weights packed for going either way; as the library takes them."""
 
-    narrowing: torch.Tensor
-    widening: torch.Tensor
-    bias: Optional[torch.Tensor]
-
-    @property
-    def without_bias(self) -> Weights:
-        """The same for the way back, where slopes go and not values."""
-        return self._replace(bias=None)
+    layers: Any
+    kept: List[torch.Tensor]
 
 
-class EndGradients(NamedTuple):
-    """What Kernels.reconstruct leaves behind, beside the slopes.
+class Room(NamedTuple):
+    """Memory for one group's values on some sides; sides: all of them as the library takes them, the image's first."""
 
-    errors: (lanes,) sums of squared differences; weight and bias of the last layer and of the one before it, where
-    there is one; totals: (channels,) sums of the slopes.
-    """
-
-    errors: torch.Tensor
-    last: Sequence[torch.Tensor]
-    before: Optional[Sequence[torch.Tensor]]
-    totals: torch.Tensor
+    tensors: Dict[int, torch.Tensor]
+    sides: Any
 
 
 class Kernels:
@@ -57,129 +45,80 @@ class Kernels:
         self._library = library
         self.lanes: int = library.lanes()
         self.panel: int = library.panel()
+        self.near: int = library.near_layers()
 
-    def pack(self, layers: Sequence[Layer], parameters: Sequence[torch.Tensor]) -> List[Weights]:
-        """Weight (narrow channels, wide channels, k, k), bias, weight, bias, ... -> one Weights a layer."""
-        pairs = zip(layers, parameters[::2], parameters[1::2])
-        return [self._pack(layer, weight.detach().contiguous(), bias) for layer, weight, bias in pairs]
+    def pack(self, layers: Sequence[Layer], parameters: Sequence[torch.Tensor]) -> Chain:
+        """Weight (narrow channels, wide channels, k, k), bias, weight, bias, ... from the image inwards -> a chain."""
+        kept: List[torch.Tensor] = []
+        made = (_Layer * len(layers))()
+        for index, (layer, weight, bias) in enumerate(zip(layers, parameters[::2], parameters[1::2])):
+            narrow, wide, kernel, _ = weight.shape
+            columns = layer.narrow[2]
+            taps = self._library.packed_taps(kernel, layer.stride, columns)
+            ways = [torch.empty(narrow * wide * taps * taps) for _ in range(2)]
+            shape = narrow, wide, kernel, layer.stride, columns
+            self._library.pack(weight.detach().contiguous().data_ptr(), *shape, *(way.data_ptr() for way in ways))
+            made[index] = _Layer(kernel, layer.stride, *(part.data_ptr() for part in (*ways, bias)))
+            kept += [*ways, bias]
+        return Chain(made, kept)
 
-    def _pack(self, layer: Layer, weight: torch.Tensor, bias: torch.Tensor) -> Weights:
-        narrow, wide, kernel, _ = weight.shape
-        columns = layer.narrow[2]
-        taps = self._library.packed_taps(kernel, layer.stride, columns)
-        made = Weights(*(torch.empty(narrow * wide * taps * taps) for _ in range(2)), bias)
-        shape = narrow, wide, kernel, layer.stride, columns
-        self._library.pack(weight.data_ptr(), *shape, made.narrowing.data_ptr(), made.widening.data_ptr())
-        return made
+    def room(self, layers: Sequence[Layer], wanted: Iterable[int]) -> Room:
+        """Room on the wanted sides, counted from the image."""
+        shapes = [layers[0].wide, *(layer.narrow for layer in layers)]
+        tensors = {side: torch.empty((*shapes[side], self.lanes)) for side in wanted}
+        found = (tensors[side].data_ptr() if side in tensors else None for side in range(len(shapes)))
+        sides = (_Side(address, *shape, shape[1], -1) for address, shape in zip(found, shapes))
+        return Room(tensors, (_Side * len(shapes))(*sides))
 
-    def to_group(self, rows: torch.Tensor, out: torch.Tensor) -> None:
-        """Rows (B, F), any strides, of at most `lanes` images -> one group (..., lanes), zero beyond B."""
-        count, length = rows.shape
-        self._library.to_group(rows.data_ptr(), *rows.stride(), count, length, out.data_ptr())
+    def encode(self, chain: Chain, images: Images, room: Room, *features: torch.Tensor) -> None:
+        """Up to `lanes` images -> values on all sides but the image's, the last also into each of features (B, F)."""
+        out = (_Numbers * len(features))(*map(_numbers, features))
+        layers = chain.layers, room.sides, len(chain.layers)
+        _check(self._library.encode(_pictures(images), *layers, out, len(features)))
 
-    def from_group(self, values: torch.Tensor, out: torch.Tensor) -> None:
-        """One group (..., lanes) -> rows (B, F), any strides, of at most `lanes` images."""
-        count, length = out.shape
-        self._library.from_group(values.data_ptr(), length, out.data_ptr(), *out.stride(), count)
-
-    def narrow(
+    def encode_back(
         self,
-        layer: Layer,
-        weights: Weights,
-        values: torch.Tensor,
-        out: torch.Tensor,
-        relu: bool = False,
-        gate: Optional[torch.Tensor] = None,
-        totals: Optional[torch.Tensor] = None,
-    ) -> None:
-        """Convolution from the wide side to the narrow one; zero where the gate (as out) is not positive.
-
-        totals: room for the sums (channels,) of what comes out.
-        """
-        sides = _side(layer.wide, values), _side(layer.narrow, out)
-        last = (relu, _optional_side(layer.narrow, gate), _address(totals))
-        _check(self._library.narrow(*sides, _layer(layer, weights), *last))
-
-    def widen(
-        self,
-        layer: Layer,
-        weights: Weights,
-        values: torch.Tensor,
-        out: torch.Tensor,
-        relu: bool = False,
-        gate: Optional[torch.Tensor] = None,
-        totals: Optional[torch.Tensor] = None,
-    ) -> None:
-        """Transposed convolution from the narrow side to the wide one; otherwise as narrow."""
-        sides = _side(layer.narrow, values), _side(layer.wide, out)
-        last = (relu, _optional_side(layer.wide, gate), _address(totals))
-        _check(self._library.widen(*sides, _layer(layer, weights), *last))
-
-    def weight_gradient(self, layer: Layer, narrow: torch.Tensor, wide: torch.Tensor, out: torch.Tensor) -> None:
-        """Gradient (narrow channels, wide channels, k, k) of a weight, from the values and slopes on its two sides."""
-        sides = _side(layer.narrow, narrow), _side(layer.wide, wide)
-        _check(self._library.correlate(*sides, _layer(layer), out.data_ptr()))
-
-    def bias_gradient(self, shape: Shape, slopes: torch.Tensor, out: torch.Tensor) -> None:
-        """Sum (C,) of slopes of this shape over rows, columns and images."""
-        self._library.channel_sums(_side(shape, slopes), out.data_ptr())
-
-    def look(
-        self,
-        layers: Sequence[Layer],
-        weights: Sequence[Weights],
+        chain: Chain,
         images: Images,
-        values: Sequence[torch.Tensor],
-        relu: bool,
-    ) -> None:
-        """The convolutions next to the image, one or two, from up to `lanes` images.
-
-        values: room for what is behind each of them; relu: whether the last one has it.
-        """
-        second = _layer(layers[1], weights[1]) if len(layers) > 1 else _layer()
-        sides = _side(layers[0].narrow, values[0]), _side(layers[-1].narrow, values[-1])
-        _check(self._library.look(_pictures(images), _layer(layers[0], weights[0]), second, *sides, relu))
-
-    def look_back(
-        self,
-        layers: Sequence[Layer],
-        weights: Sequence[Weights],
-        images: Images,
-        values: Optional[torch.Tensor],
+        values: Room,
+        flow: Room,
         slopes: torch.Tensor,
         gradients: Sequence[torch.Tensor],
     ) -> None:
-        """Gradients of the first layers, one or two, from the slopes behind them.
+        """Slopes (B, F) at what encode has left in values -> the gradients of weight, bias, ... from the image inwards.
 
-        values: between two layers. gradients: room for those of weight, bias, weight; or of weight alone.
+        flow: room on the sides from `near` on.
         """
-        second = _layer(layers[1], weights[1]) if len(layers) > 1 else _layer()
-        sides = _side(layers[0].narrow, values), _side(layers[-1].narrow, slopes)
-        results = [_address(part) for part in (*gradients, None, None)[:3]]
-        _check(self._library.look_back(_pictures(images), _layer(layers[0]), second, *sides, *results))
+        layers = chain.layers, values.sides, flow.sides, len(chain.layers)
+        _check(self._library.encode_back(_pictures(images), *layers, _numbers(slopes), _addresses(gradients)))
 
-    def reconstruct(
+    def decode(self, chain: Chain, features: torch.Tensor, values: Room) -> None:
+        """Features (B, F) of up to `lanes` images -> values on all sides, the image's with them."""
+        layers = chain.layers, values.sides, len(chain.layers)
+        _check(self._library.decode(_numbers(features), len(features), *layers, 0))
+
+    def decode_back(
         self,
-        layers: Sequence[Layer],
-        weights: Sequence[Weights],
-        values: torch.Tensor,
+        chain: Chain,
+        features: torch.Tensor,
         images: Images,
         scales: torch.Tensor,
-        gated: bool,
+        rooms: Sequence[Room],
         slopes: torch.Tensor,
-        gradients: EndGradients,
+        errors: torch.Tensor,
+        gradients: Sequence[torch.Tensor],
     ) -> None:
-        """Widen values through the last layers, one or two, compare with images, and come back.
+        """Decode features (B, F) of up to `lanes` images, compare with the images, and come back.
 
-        layers: the image's first. Fills slopes and gradients with those of the sum of scales (lanes,) / 2 times the
-        errors; slopes are zero where gated values are not positive.
+        Fills errors (B,) with sums of squared differences, and, for the sum of scales (B,) / 2 times these, slopes
+        (B, F) at the features and gradients of weight, bias, ... from the image inwards. rooms: two, on the sides from
+        `near` on.
         """
-        before = _layer(layers[1], weights[1]) if len(layers) > 1 else _layer()
-        parts = (gradients.errors, *gradients.last, *(gradients.before or (None, None)), gradients.totals)
-        flow = _side(layers[-1].narrow, slopes)
-        results = _Gradients(*map(_address, parts), ctypes.pointer(flow))
-        sides = _side(layers[-1].narrow, values), _layer(layers[0], weights[0]), before, _side(layers[0].narrow, None)
-        _check(self._library.reconstruct(*sides, _pictures(images), scales.data_ptr(), gated, results))
+        values, flow = rooms
+        target = _pictures(images), scales.data_ptr()
+        layers = chain.layers, values.sides, flow.sides, len(chain.layers)
+        results = _numbers(slopes), errors.data_ptr(), _addresses(gradients)
+        _check(self._library.decode_back(_numbers(features), *target, *layers, *results))
 
     def multiply(self, left: torch.Tensor, right: torch.Tensor, out: torch.Tensor) -> None:
         """Fill out (M, N) with left (M, K) right (K, N). Rows of right and out are contiguous, N at least `panel`."""
@@ -219,55 +158,30 @@ class _Pictures(ctypes.Structure):
     )
 
 
-class _Gradients(ctypes.Structure):
-    _fields_ = (
-        ("errors", ctypes.c_void_p),
-        ("last_weight", ctypes.c_void_p),
-        ("last_bias", ctypes.c_void_p),
-        ("before_weight", ctypes.c_void_p),
-        ("before_bias", ctypes.c_void_p),
-        ("totals", ctypes.c_void_p),
-        ("slopes", ctypes.POINTER(_Side)),
-    )
+class _Numbers(ctypes.Structure):
+    _fields_ = (("first", ctypes.c_void_p), ("across", ctypes.c_long), ("along", ctypes.c_long))
 
 
 def signatures() -> Dict[str, Tuple[Any, List[Any]]]:
     """What each function of the library returns and takes."""
     address, number, length = ctypes.c_void_p, ctypes.c_int, ctypes.c_long
-    side, layer, pictures = map(ctypes.POINTER, (_Side, _Layer, _Pictures))
-    convolution = (number, [side, side, layer, number, side, address])
+    side, layer, pictures, numbers = map(ctypes.POINTER, (_Side, _Layer, _Pictures, _Numbers))
+    addresses = ctypes.POINTER(address)
     return {
         "lanes": (number, []),
         "panel": (number, []),
+        "near_layers": (number, []),
         "packed_taps": (number, [number, number, number]),
         "pack": (None, [address, number, number, number, number, number, address, address]),
-        "to_group": (None, [address, length, length, number, length, address]),
-        "from_group": (None, [address, length, address, length, length, number]),
-        "narrow": convolution,
-        "widen": convolution,
-        "correlate": (number, [side, side, layer, address]),
-        "channel_sums": (None, [side, address]),
-        "look": (number, [pictures, layer, layer, side, side, number]),
-        "look_back": (number, [pictures, layer, layer, side, side, address, address, address]),
-        "reconstruct": (
+        "encode": (number, [pictures, layer, side, number, numbers, number]),
+        "encode_back": (number, [pictures, layer, side, side, number, numbers, addresses]),
+        "decode": (number, [numbers, number, layer, side, number, number]),
+        "decode_back": (
             number,
-            [side, layer, layer, side, pictures, address, number, ctypes.POINTER(_Gradients)],
+            [numbers, pictures, address, layer, side, side, number, numbers, address, addresses],
         ),
         "multiply": (None, [address, length, length, address, length, address, length, number, number, number]),
     }
-
-
-def _side(shape: Shape, values: Optional[torch.Tensor]) -> _Side:
-    return _Side(_address(values), *shape, shape[1], -1)
-
-
-def _optional_side(shape: Shape, values: Optional[torch.Tensor]) -> Optional[_Side]:
-    return None if values is None else _side(shape, values)
-
-
-def _layer(layer: Optional[Layer] = None, weights: Optional[Weights] = None) -> _Layer:
-    """Without weights for what needs the geometry alone, without a layer for one that is not there."""
-    return _Layer(*(layer[2:] if layer else (0, 0)), *(map(_address, weights) if weights else (None, None, None)))
 
 
 def _pictures(images: Images) -> _Pictures:
@@ -277,8 +191,13 @@ def _pictures(images: Images) -> _Pictures:
     return _Pictures((ctypes.c_void_p * len(addresses))(*addresses), len(addresses), *images[0].shape)
 
 
-def _address(tensor: Optional[torch.Tensor]) -> Optional[int]:
-    return None if tensor is None else tensor.data_ptr()
+def _numbers(rows: torch.Tensor) -> _Numbers:
+    """Rows (B, F), any strides."""
+    return _Numbers(rows.data_ptr(), *rows.stride())
+
+
+def _addresses(tensors: Sequence[torch.Tensor]) -> Any:
+    return (ctypes.c_void_p * len(tensors))(*[tensor.data_ptr() for tensor in tensors])
 
 
 def _check(status: int) -> None:
