@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from itertools import accumulate
 from typing import Any, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
 import torch
@@ -26,6 +27,27 @@ class Chain(NamedTuple):
 
     layers: Any
     kept: List[torch.Tensor]
+
+
+class Gradients:
+    """Room for the gradients of some parameters from each group of images."""
+
+    def __init__(self, parameters: Sequence[torch.Tensor], groups: int) -> None:
+        self._shapes = [parameter.shape for parameter in parameters]
+        self._lengths = [parameter.numel() for parameter in parameters]
+        self._each = torch.empty((groups, sum(self._lengths)))
+
+    def of(self, group: int) -> Any:
+        """Addresses of one group's gradients."""
+        first = self._each[group].data_ptr()
+        places = accumulate([first, *(4 * length for length in self._lengths[:-1])])
+        return (ctypes.c_void_p * len(self._lengths))(*places)
+
+    def summed(self) -> Tuple[List[torch.Tensor], torch.Tensor]:
+        """The gradients from all groups, and the sum of all their elements."""
+        total = self._each.sum(0)
+        parts = total.split(self._lengths)
+        return [part.view(shape) for part, shape in zip(parts, self._shapes)], total.sum()
 
 
 class Room(NamedTuple):
@@ -83,14 +105,14 @@ class Kernels:
         values: Room,
         flow: Room,
         slopes: torch.Tensor,
-        gradients: Sequence[torch.Tensor],
+        gradients: Any,
     ) -> None:
         """Slopes (B, F) at what encode has left in values -> the gradients of weight, bias, ... from the image inwards.
 
-        flow: room on the sides from `near` on.
+        flow: room on the sides from `near` on. gradients: addresses of room for them.
         """
         layers = chain.layers, values.sides, flow.sides, len(chain.layers)
-        _check(self._library.encode_back(_pictures(images), *layers, _numbers(slopes), _addresses(gradients)))
+        _check(self._library.encode_back(_pictures(images), *layers, _numbers(slopes), gradients))
 
     def decode(self, chain: Chain, features: torch.Tensor, values: Room) -> None:
         """Features (B, F) of up to `lanes` images -> values on all sides, the image's with them."""
@@ -106,18 +128,18 @@ class Kernels:
         rooms: Sequence[Room],
         slopes: torch.Tensor,
         errors: torch.Tensor,
-        gradients: Sequence[torch.Tensor],
+        gradients: Any,
     ) -> None:
         """Decode features (B, F) of up to `lanes` images, compare with the images, and come back.
 
         Fills errors (B,) with sums of squared differences, and, for the sum of scales (B,) / 2 times these, slopes
-        (B, F) at the features and gradients of weight, bias, ... from the image inwards. rooms: two, on the sides from
-        `near` on.
+        (B, F) at the features and the gradients of weight, bias, ... from the image inwards. rooms: two, on the sides
+        from `near` on. gradients: addresses of room for them.
         """
         values, flow = rooms
         target = _pictures(images), scales.data_ptr()
         layers = chain.layers, values.sides, flow.sides, len(chain.layers)
-        results = _numbers(slopes), errors.data_ptr(), _addresses(gradients)
+        results = _numbers(slopes), errors.data_ptr(), gradients
         _check(self._library.decode_back(_numbers(features), *target, *layers, *results))
 
     def multiply(self, left: torch.Tensor, right: torch.Tensor, out: torch.Tensor) -> None:
@@ -194,10 +216,6 @@ def _pictures(images: Images) -> _Pictures:
 def _numbers(rows: torch.Tensor) -> _Numbers:
     """Rows (B, F), any strides."""
     return _Numbers(rows.data_ptr(), *rows.stride())
-
-
-def _addresses(tensors: Sequence[torch.Tensor]) -> Any:
-    return (ctypes.c_void_p * len(tensors))(*[tensor.data_ptr() for tensor in tensors])
 
 
 def _check(status: int) -> None:

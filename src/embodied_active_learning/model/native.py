@@ -10,11 +10,13 @@ import torch
 from torch import nn
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
-from embodied_active_learning.model.kernels import Chain, Kernels, Layer, Room
+from embodied_active_learning.model.kernels import Chain, Gradients, Kernels, Layer, Room
 from embodied_active_learning.model.objective import Images
 
 Pair = Tuple[torch.Tensor, torch.Tensor]
 Task = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+Small = Sequence[Callable[[], None]]
+"""What else is to be done until then: for a thread that has nothing else to do."""
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 SMALL = 1 << 24  # multiplications that one thread has done before another would have woken up
@@ -38,10 +40,15 @@ class LookedBack(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Mean squared error (B,) of each decoded image, and the gradients of the decoder's weights and biases."""
+    """Mean squared error (B,) of each decoded image, and the gradients of the decoder's parameters by group."""
 
     each: torch.Tensor
-    gradients: List[torch.Tensor]
+    by_group: Gradients
+
+    def gradients(self) -> Tuple[List[torch.Tensor], torch.Tensor]:
+        """The gradients of the decoder's weights and biases, in their order, and the sum of all their elements."""
+        found, total = self.by_group.summed()
+        return _inwards(found), total
 
 
 class NativeImages:
@@ -76,33 +83,36 @@ class NativeImages:
         self.for_each_group(len(images), encode)
         return Seen(images, parameters, chain, values)
 
-    def look_back(self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = ()) -> LookedBack:
+    def look_back(self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = (), small: Small = ()) -> LookedBack:
         """Slopes (B, F) at the features -> gradients of the encoder's weights and biases, in their order.
 
         pairs: of products that can wait until now. In small pieces, they keep all threads busy to the end.
         """
         groups = len(seen.values)
-        gradients = _gradients_of(seen.parameters, groups)
+        gradients = Gradients(seen.parameters, groups)
         products, tasks = self._divide(pairs)
         sums = [torch.zeros(())] * len(tasks)
 
         def differentiate(group: int, members: slice) -> None:
             values, flow = seen.values[group], self.borrow(self._deep)
-            parts = [part[group] for part in gradients]
-            self.kernels.encode_back(seen.chain, seen.images[members], values, flow, slopes[members], parts)
+            arguments = seen.images[members], values, flow, slopes[members], gradients.of(group)
+            self.kernels.encode_back(seen.chain, *arguments)
             self.give_back(flow, self._deep)
             self.give_back(values, self.inwards)
 
         def work(index: int) -> None:
             if index < groups:
                 differentiate(index, self._members(index))
-            else:
+            elif index < groups + len(tasks):
                 left, right, out = tasks[index - groups]
                 self._multiply(left, right, out)
                 sums[index - groups] = out.sum()  # here, where it is in the cache
+            else:
+                small[index - groups - len(tasks)]()
 
-        self._share(groups + len(tasks), work)
-        return LookedBack([gradient.sum(0) for gradient in gradients], products, sum(sums, torch.zeros(())))
+        self._share(groups + len(tasks) + len(small), work)
+        found, total = gradients.summed()
+        return LookedBack(found, products, total + sum(sums))
 
     def reconstruct(
         self,
@@ -111,6 +121,7 @@ class NativeImages:
         images: Images,
         weights: torch.Tensor,
         slopes: torch.Tensor,
+        small: Small = (),
     ) -> Errors:
         """Decode features (F, B), compare with images, and come back.
 
@@ -118,19 +129,25 @@ class NativeImages:
         """
         pixels, parameters = images[0].numel(), _inwards(network.image_decoder.parameters())
         chain, scales, errors = self.decoder_chain(network), weights * (2.0 / pixels), torch.empty(len(images))
-        gradients = _gradients_of(parameters, self._groups(len(images)))
+        groups = self._groups(len(images))
+        gradients = Gradients(parameters, groups)
 
-        def work(group: int, members: slice) -> None:
+        def compare(group: int, members: slice) -> None:
             rooms = self.borrow(self._deep), self.borrow(self._deep)
             target = images[members], scales[members]
-            parts = [part[group] for part in gradients]
-            sides = features.t()[members], slopes.t()[members]
-            self.kernels.decode_back(chain, sides[0], *target, rooms, sides[1], errors[members], parts)
+            results = slopes.t()[members], errors[members], gradients.of(group)
+            self.kernels.decode_back(chain, features.t()[members], *target, rooms, *results)
             for room in rooms:
                 self.give_back(room, self._deep)
 
-        self.for_each_group(len(images), work)
-        return Errors(errors / pixels, _inwards(gradient.sum(0) for gradient in gradients))
+        def work(index: int) -> None:
+            if index < groups:
+                compare(index, self._members(index))
+            else:
+                small[index - groups]()
+
+        self._share(groups + len(small), work)
+        return Errors(errors / pixels, gradients)
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
         """layer(inputs), inputs (B, I) -> (B, O)."""
@@ -225,11 +242,6 @@ class NativeImages:
             wait(helping)
         for helper in helping:
             helper.result()
-
-
-def _gradients_of(parameters: List[torch.Tensor], groups: int) -> List[torch.Tensor]:
-    """Room for the gradient of each parameter that comes from each group."""
-    return [torch.empty((groups, *parameter.shape)) for parameter in parameters]
 
 
 def _inwards(parts: Iterable[torch.Tensor]) -> List[torch.Tensor]:

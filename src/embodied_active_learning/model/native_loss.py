@@ -7,7 +7,7 @@ thread busy for as long as a layer takes two.
 
 from __future__ import annotations
 
-from typing import Callable, List, Optional
+from typing import Any, Callable, List, Optional, Tuple
 
 import torch
 from torch import nn
@@ -46,18 +46,35 @@ class NativeLoss:
             decoded = decoder.run(torch.cat((sampled, pair.states.t())))
             slopes, log_std = torch.empty_like(decoded), limited(decoded[0])
             weights = error_weights(log_std, gamma)
-            errors = images.reconstruct(network, decoded[1:], pair.images, weights, slopes[1:])
-            loss = pair_loss(errors.each, log_std, latent.gaussian, beta, gamma)
+            turn = decoder.turn_inputs, lambda: encoder.turn_inputs(rows)
+            errors = images.reconstruct(network, decoded[1:], pair.images, weights, slopes[1:], turn)
             slopes[0] = log_std_slopes(errors.each, log_std, gamma) * is_within_limits(decoded[0])
             below = decoder.run_back(slopes)
             of_sample = below[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
-            below = encoder.run_back(latent.slopes(of_sample, beta), rows)
-            back = images.look_back(seen, below[:, :width], [*encoder.pairs, *decoder.pairs])
-            of_layers = [part for both in zip(back.products, [*encoder.biases, *decoder.biases]) for part in both]
-            rest = [*back.gradients, *encoder.biases, *decoder.biases, *errors.gradients]
-            gradients = [*back.gradients, *of_layers, *errors.gradients]
-            gradient_sum = back.sum + sum(part.sum() for part in rest)
-        return loss._replace(gradients=gradients, gradient_sum=gradient_sum)
+            below = encoder.run_back(latent.slopes(of_sample, beta))
+            later = [
+                _Later(lambda: pair_loss(errors.each, log_std, latent.gaussian, beta, gamma)),
+                _Later(errors.gradients),
+                _Later(encoder.bias_gradients),
+                _Later(decoder.bias_gradients),
+            ]
+            back = images.look_back(seen, below[:, :width], [*encoder.pairs, *decoder.pairs], later)
+            loss, *others = (one.result for one in later)
+            (of_images, *of_biases), sums = zip(*others)
+            of_layers = zip(back.products, [bias for biases in of_biases for bias in biases])
+            gradients = [*back.gradients, *(part for both in of_layers for part in both), *of_images]
+        return loss._replace(gradients=gradients, gradient_sum=back.sum + sum(sums))
+
+
+class _Later:
+    """Something that nobody waits for yet, made when it is called."""
+
+    def __init__(self, make: Callable[[], Any]) -> None:
+        self._make = make
+        self.result: Any = None
+
+    def __call__(self) -> None:
+        self.result = self._make()
 
 
 class _Latent:
@@ -81,14 +98,17 @@ class _Latent:
 
 
 class _Perceptron:
-    """Fully connected layers with ReLU between them: there, and back once."""
+    """Fully connected layers with ReLU between them: there, and back once.
+
+    Nobody waits for the gradients of weights and biases: run_back leaves behind what they are made of.
+    """
 
     def __init__(self, layers: nn.Sequential, images: NativeImages) -> None:
         self._layers = [layer for layer in layers if isinstance(layer, nn.Linear)]
         self._product = images.product
         self._inputs: List[torch.Tensor] = []
-        self.pairs: List[Pair] = []
-        self.biases: List[torch.Tensor] = []
+        self._rows: List[torch.Tensor] = []
+        self._slopes: List[torch.Tensor] = []
 
     def run(self, inputs: torch.Tensor) -> torch.Tensor:
         """Inputs (I, B) -> outputs (O, B)."""
@@ -99,19 +119,27 @@ class _Perceptron:
             inputs = self._product(layer.weight, inputs).add_(layer.bias[:, None])
         return inputs
 
-    def run_back(self, slopes: torch.Tensor, first_rows: Optional[torch.Tensor] = None) -> torch.Tensor:
-        """Slopes (O, B) at the outputs -> those at the inputs, (B, I).
+    def turn_inputs(self, first: Optional[torch.Tensor] = None) -> None:
+        """What run_back needs of each layer's inputs, (B, I). first: of the first layer, where it is at hand."""
+        known = [] if first is None else [first]
+        self._rows = known + [inputs.t().contiguous() for inputs in self._inputs[len(known) :]]
 
-        Leaves behind, layer by layer, the gradients of the biases, and of the weights pairs whose products they are:
-        nothing waits for these. first_rows: the inputs once more, (B, I), where they are at hand.
-        """
+    def run_back(self, slopes: torch.Tensor) -> torch.Tensor:
+        """Slopes (O, B) at the outputs -> those at the inputs, (B, I)."""
         slopes = slopes.t()
-        for index, layer in reversed(list(enumerate(self._layers))):
-            given = first_rows if index == 0 else None
-            rows = self._inputs[index].t().contiguous() if given is None else given
-            self.pairs.insert(0, (slopes.t(), rows))
-            self.biases.insert(0, slopes.sum(0))
+        for layer, rows in zip(self._layers[::-1], self._rows[::-1]):
+            self._slopes.insert(0, slopes)
             slopes = self._product(slopes, layer.weight)
-            if index:
+            if rows is not self._rows[0]:
                 slopes *= rows.sign()  # 0 or 1: no number behind a ReLU is negative
         return slopes
+
+    @property
+    def pairs(self) -> List[Pair]:
+        """Once it was run back: what the gradient of each layer's weight is the product of."""
+        return [(slopes.t(), rows) for slopes, rows in zip(self._slopes, self._rows)]
+
+    def bias_gradients(self) -> Tuple[List[torch.Tensor], torch.Tensor]:
+        """Once it was run back: the gradient of each layer's bias, and the sum of all their elements."""
+        gradients = [slopes.sum(0) for slopes in self._slopes]
+        return gradients, torch.cat(gradients).sum()
