@@ -11,6 +11,7 @@
 #endif
 
 typedef float vec __attribute__((vector_size(4 * LANES)));
+typedef float loose_vec __attribute__((vector_size(4 * LANES), aligned(4)));
 typedef int32_t mask __attribute__((vector_size(4 * LANES)));
 
 #ifdef __OPTIMIZE__
