@@ -406,3 +406,23 @@ def test_what_goes_wrong_in_a_step_is_raised_by_whoever_needs_its_result():
     learner.update()
     with pytest.raises(RuntimeError, match="no memory"):
         learner.refresh()
+
+
+def test_a_model_whose_step_went_wrong_answers_nobody():
+    learner = make()
+    learner.update()
+    learner.refresh()
+    go_on, told = threading.Event(), []
+
+    def fail():
+        go_on.wait(10.0)
+        raise RuntimeError("no memory")
+
+    learner._optimiser.parts[1].step = fail
+    learner.update()
+    learner.refresh_meanwhile(lambda: told.append(learner.snapshots.updates))
+    go_on.set()
+    with pytest.raises(RuntimeError, match="no memory"):
+        learner.settle()
+    assert learner.snapshots.updates == 1
+    assert not told

@@ -199,6 +199,14 @@ def test_the_loss_over_blocks_is_as_exact_as_the_plain_one_at_180_pixels():
     compare_in_single_precision(FastLoss(BlockImages(network)), network, pair, noise)
 
 
+def test_gradients_lie_in_memory_as_their_parameters_do_which_the_optimiser_takes_for_granted():
+    network, pair, noise = make((45, 45), ModelConfig(), 2)
+    losses = [plain_loss, FastLoss(BlockImages(network)), fastest_loss(network).loss]
+    for loss in losses:
+        gradients(loss, network, pair, noise, 1e-3, 0.07)
+        assert all(parameter.grad.stride() == parameter.stride() for parameter in network.parameters())
+
+
 def test_gradients_scale_with_what_is_asked_of_the_loss_over_blocks():
     network, pair, noise = make((45, 45), ModelConfig(), 2)
     fast = FastLoss(BlockImages(network))

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from embodied_active_learning.model.learner import DivergenceError
-
 TIMEOUT = 60.0
 
 
@@ -40,7 +38,7 @@ def training(run):
     def train():
         try:
             run.train(stop, told.reports.append, told.finished.set)
-        except DivergenceError as error:
+        except Exception as error:
             told.errors.append(error)
             told.finished.set()
 

@@ -230,9 +230,9 @@ class TrainingRun:
     def _wait_for_work(self, stop: threading.Event) -> None:
         """Sleep until there is something to do; before that, let everyone see the newest model."""
         if self._refreshed != self.updates:
-            self._learner.refresh()
+            self._learner.refresh_meanwhile(self.wake)
             self._refreshed = self.updates
-            self.wake()
+        self._learner.settle()
         with self._changed:
             self._changed.wait_for(lambda: stop.is_set() or self._save_asked or self._has_work())
 

@@ -83,13 +83,16 @@ class FailingLoss:
         self.made = 0
 
     def __call__(self, network, *arguments):
-        # What the loss knows of its gradients is not what becomes of them here.
+        # The sum of the gradients is not what becomes of them here.
         loss = self._loss(network, *arguments)._replace(gradient_sum=None)
         self.made += 1
         if self.made - 1 not in self._calls:
             return loss
         if self._what == "loss":
             return loss._replace(total=loss.total * float("nan"))
+        if loss.gradients is not None:
+            first, *others = loss.gradients
+            return loss._replace(gradients=[first * float("inf"), *others])
         weight = next(network.parameters())
         weight.register_hook(lambda gradient: gradient * float("inf"))
         return loss
@@ -129,6 +132,22 @@ def test_after_several_bad_batches_in_a_row_the_last_good_weights_return_and_tra
     assert updates == [str(update) for update in range(1, 3 * STEPS + 1)]
 
 
+def test_what_fails_behind_the_last_update_ends_training_though_nobody_hands_over_more(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    take = run._learner.snapshots.take
+
+    def fail(weights, updates):
+        if updates == 6:
+            raise RuntimeError("no memory")
+        take(weights, updates)
+
+    run._learner.snapshots.take = fail
+    with training(run) as (_, finished, errors):
+        hand_over(run, range(5))
+        assert finished.wait(TIMEOUT)
+    assert "no memory" in str(errors[0])
+
+
 def test_bad_batches_before_the_first_checkpoint_lead_back_to_the_beginning(tmp_path, failing):
     failing(range(2, 2 + ATTEMPTS))
     run = TrainingRun(configured(tmp_path))
@@ -162,7 +181,7 @@ def test_training_ends_with_the_reason_when_going_back_does_not_help(tmp_path, f
 
 
 def test_a_gradient_that_is_not_finite_leaves_the_weights_as_they_were(tmp_path, failing):
-    failing([0], "gradient")
+    failing(range(1000), "gradient")
     run = TrainingRun(configured(tmp_path))
     error = failure(run)
     assert "not finite" in error

@@ -4,8 +4,8 @@
  * an ordinary scalar convolution in which each number happens to be a vector. A convolution lies between its wide side,
  * nearer the image, and its narrow one; both ways through it and its gradient are written in rows of the narrow or the
  * wide side, so that whole layers can follow each other a few rows at a time while these are in the cache: at this size
- * memory, not arithmetic, is what takes the time. Plain C with GCC's vector extension: the compiler picks the
- * instructions of the machine it runs on.
+ * memory, not arithmetic, is what takes the time. C with GCC's vector extension, so that the compiler picks the
+ * instructions of the machine; the few that it does not find are written out beside what works anywhere.
  */
 #include <stdlib.h>
 #include <string.h>
@@ -379,7 +379,7 @@ static side image_of(const pictures *p) {
 static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p->channels * LANES); }
 
 /* The first two convolutions, from the pictures to values and further to out, with relu behind the first, and behind
- * the second if relu. Without a second one (second->kernel = 0) values are the end, with relu if relu. Returns 0, or -1
+ * the second if relu. Without a second one (far->kernel = 0) values are the end, with relu if relu. Returns 0, or -1
  * without memory.
  */
 static int look(const pictures *p, const layer *near, const layer *far, const side *values, const side *out, int relu) {
@@ -465,7 +465,7 @@ struct gradients {
 /* The decoder's last two layers and back: values -> image, compared with pictures.
  *
  * Leaves behind, for sum scale[lane] errors[lane] / 2, all gradients; at the values they came from zero where these are
- * not positive, if relu. Without a layer before the last one (before->kernel = 0) values are the last layer's input.
+ * not positive, if relu. Without a layer before the last one (far->kernel = 0) values are the last layer's input.
  * Returns 0, or -1 without memory.
  */
 static int reconstruct(const side *values, const layer *near, const layer *far, const side *behind, const pictures *p,

@@ -60,7 +60,7 @@ class Room(NamedTuple):
 class Kernels:
     """Typed calls into the library. Tensors are contiguous float32 on the CPU, values (C, H, W, lanes), unless said.
 
-    Every call may raise MemoryError.
+    Calls that take a chain may raise MemoryError.
     """
 
     def __init__(self, library: ctypes.CDLL) -> None:
@@ -78,8 +78,9 @@ class Kernels:
             columns = layer.narrow[2]
             taps = self._library.packed_taps(kernel, layer.stride, columns)
             ways = [torch.empty(narrow * wide * taps * taps) for _ in range(2)]
+            source = weight.detach().contiguous()  # has a name, or it would be gone before it is read
             shape = narrow, wide, kernel, layer.stride, columns
-            self._library.pack(weight.detach().contiguous().data_ptr(), *shape, *(way.data_ptr() for way in ways))
+            self._library.pack(source.data_ptr(), *shape, *(way.data_ptr() for way in ways))
             made[index] = _Layer(kernel, layer.stride, *(part.data_ptr() for part in (*ways, bias)))
             kept += [*ways, bias]
         return Chain(made, kept)

@@ -149,7 +149,7 @@ class Learner:
     def refresh(self) -> None:
         """Let the snapshots answer from the model as it is now; waits for those who still read the one before last."""
         self.refresh_meanwhile(lambda: None)
-        self._optimiser.settle()
+        self.settle()
 
     def refresh_meanwhile(self, then: Callable[[], None]) -> None:
         """The same in the background, while the next update begins. then: called from there as soon as it is so."""
@@ -160,6 +160,10 @@ class Learner:
             then()
 
         self._optimiser.afterwards(take)
+
+    def settle(self) -> None:
+        """Return when nothing is going on in the background any more. Raises what went wrong there."""
+        self._optimiser.settle()
 
     def state(self) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
         """Copies of all that a continued run needs: tensors on the CPU, and plain numbers that JSON can hold.

@@ -30,8 +30,8 @@ class Batch(NamedTuple):
 class Loss(NamedTuple):
     """The loss, its terms (scalars, before weighting) and the latent means (B, L) they were computed with.
 
-    gradients: of the loss by each of the network's parameters, and the sum of all their elements, where they were taken
-    along with it; otherwise autograd takes them.
+    gradients: of the loss by each of the network's parameters, contiguous, and the sum of all their elements, where
+    they were taken along with it; otherwise autograd takes them.
     """
 
     total: torch.Tensor
@@ -44,12 +44,13 @@ class Loss(NamedTuple):
 
     def hand_over_gradients(self, network: nn.Module) -> None:
         """Give each parameter its gradient, in place of the one that it had."""
-        parameters = list(network.parameters())
-        gradients = self.gradients
-        if gradients is None:
-            gradients = torch.autograd.grad(self.total, parameters, allow_unused=True)
-        for parameter, gradient in zip(parameters, gradients):
-            parameter.grad = gradient
+        if self.gradients is None:
+            # Which leaves each gradient in its parameter's order in memory, as the optimiser takes for granted.
+            network.zero_grad(set_to_none=True)
+            self.total.backward()
+        else:
+            for parameter, gradient in zip(network.parameters(), self.gradients):
+                parameter.grad = gradient
 
 
 class Arithmetic(NamedTuple):

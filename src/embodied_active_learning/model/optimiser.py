@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Callable, Dict, Iterable, List
 
 import torch
@@ -14,8 +14,9 @@ from embodied_active_learning.model.cvae import ConditionalVAE
 class Optimiser:
     """Adam as the paper has it: the image encoder's weights are stepped at once, all others in the background.
 
-    Adam waits for memory and keeps the processor idle, which the convolutions of the next batch do not. Who needs other
-    weights than the image encoder's, or gradients, calls settle() first. One thread may call the methods.
+    Adam waits for memory and keeps the processor idle, which the convolutions of the next batch do not. Who reads other
+    weights than the image encoder's, or changes any weight or gradient, calls settle() first. One thread may call the
+    methods.
     """
 
     def __init__(self, network: ConditionalVAE, learning_rate: float) -> None:
@@ -41,12 +42,19 @@ class Optimiser:
         self.afterwards(others.step)
 
     def afterwards(self, task: Callable[[], None]) -> None:
-        """Have a task done in the background, behind the step that is being taken."""
-        self._pending.append(self._background.submit(task))
+        """Have a task done in the background, behind the step that is being taken; not if that fails."""
+        before = tuple(self._pending)
+
+        def follow() -> None:
+            if all(earlier.exception() is None for earlier in before):
+                task()
+
+        self._pending.append(self._background.submit(follow))
 
     def settle(self) -> None:
-        """Wait until the last step is taken, and what was to come afterwards is done. Raises what went wrong in it."""
+        """Wait until the last step is taken, and what was to come afterwards is done. Raises what went wrong first."""
         pending, self._pending = self._pending, []
+        wait(pending)
         for task in pending:
             task.result()
 

@@ -91,7 +91,7 @@ class Snapshots:
     def take(self, weights: Mapping[str, torch.Tensor], updates: int) -> None:
         """Take over weights by name in place of the older copy's, once nobody reads it any more.
 
-        One thread may call it.
+        One thread at a time may call it.
         """
         (oldest, _), newest = self._order
         found = self._copies[oldest]
