@@ -15,8 +15,8 @@ from embodied_active_learning.model.objective import Images
 
 Pair = Tuple[torch.Tensor, torch.Tensor]
 Task = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-Small = Sequence[Callable[[], None]]
-"""What else is to be done until then: for a thread that has nothing else to do."""
+Extra = Sequence[Callable[[], None]]
+"""What else is to be done before a call returns, by whichever thread is free."""
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 SMALL = 1 << 24  # multiplications that one thread has done before another would have woken up
@@ -83,7 +83,7 @@ class NativeImages:
         self.for_each_group(len(images), encode)
         return Seen(images, parameters, chain, values)
 
-    def look_back(self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = (), small: Small = ()) -> LookedBack:
+    def look_back(self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = (), extra: Extra = ()) -> LookedBack:
         """Slopes (B, F) at the features -> gradients of the encoder's weights and biases, in their order.
 
         pairs: of products that can wait until now. In small pieces, they keep all threads busy to the end.
@@ -108,9 +108,9 @@ class NativeImages:
                 self._multiply(left, right, out)
                 sums[index - groups] = out.sum()  # here, where it is in the cache
             else:
-                small[index - groups - len(tasks)]()
+                extra[index - groups - len(tasks)]()
 
-        self._share(groups + len(tasks) + len(small), work)
+        self._share(groups + len(tasks) + len(extra), work)
         found, total = gradients.summed()
         return LookedBack(found, products, total + sum(sums))
 
@@ -121,7 +121,7 @@ class NativeImages:
         images: Images,
         weights: torch.Tensor,
         slopes: torch.Tensor,
-        small: Small = (),
+        extra: Extra = (),
     ) -> Errors:
         """Decode features (F, B), compare with images, and come back.
 
@@ -144,9 +144,9 @@ class NativeImages:
             if index < groups:
                 compare(index, self._members(index))
             else:
-                small[index - groups]()
+                extra[index - groups]()
 
-        self._share(groups + len(small), work)
+        self._share(groups + len(extra), work)
         return Errors(errors / pixels, gradients)
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
