@@ -101,6 +101,8 @@ def test_of_many_images_no_more_than_one_group_for_each_thread_is_in_memory():
     answers(asked, network, images, features)
     spare = asked._native._spare
     assert spare
+    values = [values for rooms in spare.values() for room in rooms for values in room.tensors.values()]
+    assert {(each.dim(), each.shape[-1]) for each in values} == {(4, asked._native.kernels.lanes)}
     assert all(len(rooms) <= torch.get_num_threads() for rooms in spare.values())
 
 

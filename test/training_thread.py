@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from embodied_active_learning.model.learner import DivergenceError
+
 TIMEOUT = 60.0
 
 
@@ -41,6 +43,8 @@ def training(run):
         except Exception as error:
             told.errors.append(error)
             told.finished.set()
+            if not isinstance(error, DivergenceError):
+                raise
 
     thread = threading.Thread(target=train)
     thread.start()

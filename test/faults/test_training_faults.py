@@ -132,6 +132,7 @@ def test_after_several_bad_batches_in_a_row_the_last_good_weights_return_and_tra
     assert updates == [str(update) for update in range(1, 3 * STEPS + 1)]
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_what_fails_behind_the_last_update_ends_training_though_nobody_hands_over_more(tmp_path):
     run = TrainingRun(configured(tmp_path))
     take = run._learner.snapshots.take

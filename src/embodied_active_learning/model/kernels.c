@@ -17,26 +17,15 @@
 
 int lanes(void) { return LANES; }
 
-/* Weights packed for going either way, and biases of the side that is written. */
-typedef struct {
-    int kernel, stride;
-    const float *narrowing, *widening, *bias;
-} layer;
-
-/* A layer between its sides. If paired, its weights are the taps of paired.h, else (input channel, ky, kx, output
- * channel). */
+/* Weights packed for going either way, and biases of the side that is written. If paired, the weights are the taps of
+ * paired.h, else (input channel, ky, kx, output channel). */
 typedef struct {
     int kernel, stride, paired;
     const float *narrowing, *widening, *bias;
-} filter;
+} layer;
 
 INLINE int is_paired(int kernel, int stride, int columns) {
     return ((kernel == 3 && stride == 2) || (kernel == 5 && stride == 3)) && columns > 1;
-}
-
-INLINE filter between(const layer *l, const side *narrow) {
-    return (filter){l->kernel, l->stride, is_paired(l->kernel, l->stride, narrow->columns), l->narrowing, l->widening,
-                    l->bias};
 }
 
 /* Columns, and rows, of the filters that pack() makes for a narrow side of so many columns. */
@@ -52,12 +41,13 @@ static void pack_one_way(const float *weights, long along, long across, int inpu
             for (int o = 0; o < outputs; o++) *out++ = weights[c * along + o * across + tap];
 }
 
-/* Weights (narrow channel, wide channel, ky, kx) as narrowing and widening of a layer. */
-void pack(const float *weights, int narrow, int wide, int kernel, int stride, int columns, float *narrowing,
+/* Weights (narrow channel, wide channel, ky, kx) as narrowing and widening of a layer -> whether it is paired. */
+int pack(const float *weights, int narrow, int wide, int kernel, int stride, int columns, float *narrowing,
           float *widening) {
     int paired = is_paired(kernel, stride, columns), area = kernel * kernel;
     pack_one_way(weights, area, (long)wide * area, wide, narrow, kernel, stride, paired, narrowing);
     pack_one_way(weights, (long)wide * area, area, narrow, wide, kernel, stride, paired, widening);
+    return paired;
 }
 
 /* Numbers of some images outside of groups: number i of image n at first[n * across + i * along]. */
@@ -112,7 +102,7 @@ static void from_group(const side *in, int count, const numbers *out) {
 
 /* N channels of P neighbouring columns of the narrow side. */
 #define NARROW(N, P)                                                                                                   \
-    INLINE void narrow_##N##_##P(const side *in, const side *out, const filter *l, int k, int s, const finish *f,       \
+    INLINE void narrow_##N##_##P(const side *in, const side *out, const layer *l, int k, int s, const finish *f,       \
                                  int o, int y, int x) {                                                                \
         int O = out->channels;                                                                                         \
         START(N, P)                                                                                                    \
@@ -132,7 +122,7 @@ static void from_group(const side *in, int count, const numbers *out) {
 /* N channels of P columns of the wide side, x, x + s, ..., x = first s + phase: column first - t of the narrow side
  * reaches the first of them with kernel column phase + s t. */
 #define WIDEN(N, P)                                                                                                    \
-    INLINE void widen_##N##_##P(const side *in, const side *out, const filter *l, int k, int s, const finish *f,        \
+    INLINE void widen_##N##_##P(const side *in, const side *out, const layer *l, int k, int s, const finish *f,        \
                                 int o, int y, int first, int phase) {                                                  \
         int O = out->channels, x = first * s + phase;                                                                  \
         long plane = (long)in->kept * in->columns;                                                                     \
@@ -168,7 +158,7 @@ WIDEN(3, 8)
         else KIND##_1_##P(in, out, l, k, s, f, o, y, __VA_ARGS__), o += 1;                                             \
     }
 
-INLINE void widen_any(const side *in, const side *out, const filter *l, int k, int s, const finish *f, int from,
+INLINE void widen_any(const side *in, const side *out, const layer *l, int k, int s, const finish *f, int from,
                       int to) {
     int taps = (k + s - 1) / s, tiles = least(in->columns, out->columns / s);
     for (int y = from; y < to; y++)
@@ -186,7 +176,7 @@ INLINE void widen_any(const side *in, const side *out, const filter *l, int k, i
 }
 
 /* Rows from .. to of the narrow side (out): convolution without padding. */
-static void narrow_rows(const side *in, const side *out, const filter *l, const finish *f, int from, int to) {
+static void narrow_rows(const side *in, const side *out, const layer *l, const finish *f, int from, int to) {
     int k = l->kernel, s = l->stride;
     if (l->paired && k == 3) narrow_paired(in, out, l->narrowing, 3, 2, f, from, to);
     else if (l->paired) narrow_paired(in, out, l->narrowing, 5, 3, f, from, to);
@@ -198,7 +188,7 @@ static void narrow_rows(const side *in, const side *out, const filter *l, const 
 }
 
 /* Rows from .. to of the wide side (out): transposed convolution. */
-static void widen_rows(const side *in, const side *out, const filter *l, const finish *f, int from, int to) {
+static void widen_rows(const side *in, const side *out, const layer *l, const finish *f, int from, int to) {
     if (l->paired && l->kernel == 3) widen_paired(in, out, l->widening, 3, 2, f, from, to);
     else if (l->paired) widen_paired(in, out, l->widening, 5, 3, f, from, to);
     else widen_any(in, out, l, l->kernel, l->stride, f, from, to);
@@ -263,10 +253,10 @@ INLINE void correlate_any(const side *narrow, const side *wide, int k, int s, ve
 }
 
 /* Columns, and rows, of what a gradient of weights is summed up in. With kernel 5 its own are as fast as paired taps. */
-INLINE int taps_of(const filter *l) { return l->paired && l->kernel == 3 ? TAPS_OF(3, 2) : l->kernel; }
+INLINE int taps_of(const layer *l) { return l->paired && l->kernel == 3 ? TAPS_OF(3, 2) : l->kernel; }
 
 /* sums[a][b][ky][kx] += narrow[a][y][x] wide[b][y s + ky][x s + kx] over rows from .. to of the narrow side. */
-static void correlate_rows(const side *narrow, const side *wide, const filter *l, vec *sums, int from, int to) {
+static void correlate_rows(const side *narrow, const side *wide, const layer *l, vec *sums, int from, int to) {
     if (taps_of(l) > l->kernel) correlate_paired(narrow, wide, sums, 3, 2, from, to);
     else correlate_any(narrow, wide, l->kernel, l->stride, sums, from, to);
 }
@@ -280,12 +270,12 @@ static void add_lanes(const vec *sums, long count, float *out) {
     }
 }
 
-static long weights(const side *narrow, const side *wide, const filter *l) {
+static long weights(const side *narrow, const side *wide, const layer *l) {
     return (long)narrow->channels * wide->channels * taps_of(l) * taps_of(l);
 }
 
 /* The gradient of the weights (narrow channel, wide channel, ky, kx) that correlate_rows has summed up. */
-static void take_gradient(const side *narrow, const side *wide, const filter *l, const vec *sums, float *out) {
+static void take_gradient(const side *narrow, const side *wide, const layer *l, const vec *sums, float *out) {
     int count = taps_of(l) * taps_of(l);
     float taps[TAPS_OF(3, 2) * TAPS_OF(3, 2)];
     if (taps_of(l) == l->kernel) add_lanes(sums, weights(narrow, wide, l), out);
@@ -310,9 +300,9 @@ static side ring(const side *s, int rows) {
     return few;
 }
 
-typedef void rows_of(const side *in, const side *out, const filter *l, const finish *f, int from, int to);
+typedef void rows_of(const side *in, const side *out, const layer *l, const finish *f, int from, int to);
 
-static int whole(rows_of *rows, const side *in, const side *out, const filter *l, int relu, const side *gate,
+static int whole(rows_of *rows, const side *in, const side *out, const layer *l, int relu, const side *gate,
                  float *totals) {
     vec *sums = zeros(out->channels);
     int failed = !sums;
@@ -325,23 +315,20 @@ static int whole(rows_of *rows, const side *in, const side *out, const filter *l
 
 /* The narrow side = convolution of the wide one. Returns 0, or -1 when memory has run out. */
 static int narrow(const side *wide, const side *narrow, const layer *l, int relu, const side *gate, float *totals) {
-    filter own = between(l, narrow);
-    return whole(narrow_rows, wide, narrow, &own, relu, gate, totals);
+    return whole(narrow_rows, wide, narrow, l, relu, gate, totals);
 }
 
 /* The wide side = transposed convolution of the narrow one. Returns 0, or -1 when memory has run out. */
 static int widen(const side *narrow, const side *wide, const layer *l, int relu, const side *gate, float *totals) {
-    filter own = between(l, narrow);
-    return whole(widen_rows, narrow, wide, &own, relu, gate, totals);
+    return whole(widen_rows, narrow, wide, l, relu, gate, totals);
 }
 
 /* Gradient of a weight: out[a][b][ky][kx] = sum narrow[a][y][x] wide[b][y s + ky][x s + kx]. Returns 0 or -1. */
 static int correlate(const side *narrow, const side *wide, const layer *l, float *out) {
-    filter own = between(l, narrow);
-    vec *sums = zeros(weights(narrow, wide, &own));
+    vec *sums = zeros(weights(narrow, wide, l));
     if (!sums) return -1;
-    correlate_rows(narrow, wide, &own, sums, 0, narrow->rows);
-    take_gradient(narrow, wide, &own, sums, out);
+    correlate_rows(narrow, wide, l, sums, 0, narrow->rows);
+    take_gradient(narrow, wide, l, sums, out);
     free(sums);
     return 0;
 }
@@ -362,12 +349,12 @@ static void channel_sums(const side *s, float *out) {
 #define WIDE_STRIP (2 * STRIP)
 
 /* Rows of the wide side that the narrow side's rows up to `to` reach. */
-INLINE int reach(const side *narrow, const side *wide, const filter *l, int to) {
+INLINE int reach(const side *narrow, const side *wide, const layer *l, int to) {
     return to < narrow->rows ? (to - 1) * l->stride + l->kernel : wide->rows;
 }
 
 /* Rows of the narrow side whose reach lies within the wide side's rows up to `to`. */
-INLINE int within(const side *narrow, const side *wide, const filter *l, int to) {
+INLINE int within(const side *narrow, const side *wide, const layer *l, int to) {
     if (to >= wide->rows) return narrow->rows;
     return to < l->kernel ? 0 : (to - l->kernel) / l->stride + 1;
 }
@@ -379,14 +366,13 @@ static side image_of(const pictures *p) {
 static uint8_t *line_of(const pictures *p) { return malloc((long)p->columns * p->channels * LANES); }
 
 /* The first two convolutions, from the pictures to values and further to out, with relu behind the first, and behind
- * the second if relu. Without a second one (far->kernel = 0) values are the end, with relu if relu. Returns 0, or -1
+ * the second if relu. Without a second one (second->kernel = 0) values are the end, with relu if relu. Returns 0, or -1
  * without memory.
  */
-static int look(const pictures *p, const layer *near, const layer *far, const side *values, const side *out, int relu) {
-    int two = far->kernel != 0;
+static int look(const pictures *p, const layer *first, const layer *second, const side *values, const side *out,
+                int relu) {
+    int two = second->kernel != 0;
     side all = image_of(p);
-    filter one = between(near, values), other = two ? between(far, out) : (filter){0};
-    const filter *first = &one, *second = &other;
     side image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
     uint8_t *line = line_of(p);
     int failed = !image.values || !line;
@@ -413,13 +399,11 @@ static int look(const pictures *p, const layer *near, const layer *far, const si
  * values: between the two; slopes: behind the second. Without a second one (values->values = 0) slopes are behind the
  * first, and its bias is left alone. Returns 0, or -1 without memory.
  */
-static int look_back(const pictures *p, const layer *near, const layer *far, const side *values, const side *slopes,
+static int look_back(const pictures *p, const layer *first, const layer *second, const side *values, const side *slopes,
               float *first_weight, float *first_bias, float *second_weight) {
     int two = values->values != 0;
     const side *middle = two ? values : slopes;
     side all = image_of(p);
-    filter one = between(near, middle), other = two ? between(far, slopes) : (filter){0};
-    const filter *first = &one, *second = &other;
     side image = ring(&all, (STRIP - 1) * first->stride + first->kernel);
     side inner = two ? ring(values, WIDE_STRIP) : *slopes;
     long counts[2] = {weights(middle, &image, first), two ? weights(slopes, values, second) : 0};
@@ -465,16 +449,14 @@ struct gradients {
 /* The decoder's last two layers and back: values -> image, compared with pictures.
  *
  * Leaves behind, for sum scale[lane] errors[lane] / 2, all gradients; at the values they came from zero where these are
- * not positive, if relu. Without a layer before the last one (far->kernel = 0) values are the last layer's input.
+ * not positive, if relu. Without a layer before the last one (before->kernel = 0) values are the last layer's input.
  * Returns 0, or -1 without memory.
  */
-static int reconstruct(const side *values, const layer *near, const layer *far, const side *behind, const pictures *p,
+static int reconstruct(const side *values, const layer *last, const layer *before, const side *behind, const pictures *p,
                 const float *scale, int relu, const struct gradients *g) {
-    int two = far->kernel != 0;
+    int two = before->kernel != 0;
     const side *middle = two ? behind : values;
     side all = image_of(p);
-    filter one = between(near, middle), other = two ? between(far, values) : (filter){0};
-    const filter *last = &one, *before = &other;
     /* A kernel smaller than its stride leaves rows between the strips, and behind the last. */
     int high = STRIP * last->stride + (last->kernel > last->stride ? last->kernel : last->stride) - 1;
     int deep = ((STRIP - 1) * last->stride + last->kernel - 1) / last->stride + 1;
@@ -541,11 +523,15 @@ static int reconstruct(const side *values, const layer *near, const layer *far, 
 
 int near_layers(void) { return NEAR; }
 
-static const layer NONE = {0, 0, 0, 0, 0};
+static const layer NONE = {0, 0, 0, 0, 0, 0};
 
 static const layer *second_of(const layer *layers, int count) { return count > 1 ? layers + 1 : &NONE; }
 
-static layer without_bias(const layer *l) { return (layer){l->kernel, l->stride, l->narrowing, l->widening, 0}; }
+static layer without_bias(const layer *l) {
+    layer other = *l;
+    other.bias = 0;
+    return other;
+}
 
 /* Pictures -> values on all sides, the last ones also as numbers, in each of `copies` places. */
 int encode(const pictures *p, const layer *layers, const side *sides, int count, const numbers *out, int copies) {

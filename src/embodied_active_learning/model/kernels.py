@@ -80,8 +80,8 @@ class Kernels:
             ways = [torch.empty(narrow * wide * taps * taps) for _ in range(2)]
             source = weight.detach().contiguous()  # has a name, or it would be gone before it is read
             shape = narrow, wide, kernel, layer.stride, columns
-            self._library.pack(source.data_ptr(), *shape, *(way.data_ptr() for way in ways))
-            made[index] = _Layer(kernel, layer.stride, *(part.data_ptr() for part in (*ways, bias)))
+            paired = self._library.pack(source.data_ptr(), *shape, *(way.data_ptr() for way in ways))
+            made[index] = _Layer(kernel, layer.stride, paired, *(part.data_ptr() for part in (*ways, bias)))
             kept += [*ways, bias]
         return Chain(made, kept)
 
@@ -165,6 +165,7 @@ class _Layer(ctypes.Structure):
     _fields_ = (
         ("kernel", ctypes.c_int),
         ("stride", ctypes.c_int),
+        ("paired", ctypes.c_int),
         ("narrowing", ctypes.c_void_p),
         ("widening", ctypes.c_void_p),
         ("bias", ctypes.c_void_p),
@@ -195,7 +196,7 @@ def signatures() -> Dict[str, Tuple[Any, List[Any]]]:
         "panel": (number, []),
         "near_layers": (number, []),
         "packed_taps": (number, [number, number, number]),
-        "pack": (None, [address, number, number, number, number, number, address, address]),
+        "pack": (number, [address, number, number, number, number, number, address, address]),
         "encode": (number, [pictures, layer, side, number, numbers, number]),
         "encode_back": (number, [pictures, layer, side, side, number, numbers, addresses]),
         "decode": (number, [numbers, number, layer, side, number, number]),

@@ -92,7 +92,7 @@ class Learner:
     @property
     def network(self) -> ConditionalVAE:
         """The network after the last update. Only the thread that trains may ask for it."""
-        self._optimiser.settle()
+        self.settle()
         return self._network
 
     def update(self) -> UpdateReport:
@@ -170,7 +170,7 @@ class Learner:
 
         The model before the newest is among them, because it may be the one that is asked for next.
         """
-        self._optimiser.settle()
+        self.settle()
         counters = {
             "updates": self.updates,
             "skipped": self.skipped,
