@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor, wait
+from functools import partial
 from typing import Callable, DefaultDict, Iterable, List, NamedTuple, Sequence, Tuple
 
 import torch
@@ -15,8 +16,7 @@ from embodied_active_learning.model.objective import Images
 
 Pair = Tuple[torch.Tensor, torch.Tensor]
 Task = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-Extra = Sequence[Callable[[], None]]
-"""What else is to be done before a call returns, by whichever thread is free."""
+Job = Callable[[], None]
 
 PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
 SMALL = 1 << 24  # multiplications that one thread has done before another would have woken up
@@ -83,13 +83,15 @@ class NativeImages:
         self.for_each_group(len(images), encode)
         return Seen(images, parameters, chain, values)
 
-    def look_back(self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = (), extra: Extra = ()) -> LookedBack:
+    def look_back(
+        self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = (), extra: Sequence[Job] = ()
+    ) -> LookedBack:
         """Slopes (B, F) at the features -> gradients of the encoder's weights and biases, in their order.
 
-        pairs: of products that can wait until now. In small pieces, they keep all threads busy to the end.
+        pairs: of products that can wait until now. In small pieces, they keep all threads busy to the end. extra: what
+        else is to be done until then, by whichever thread is free.
         """
-        groups = len(seen.values)
-        gradients = Gradients(seen.parameters, groups)
+        gradients = Gradients(seen.parameters, len(seen.values))
         products, tasks = self._divide(pairs)
         sums = [torch.zeros(())] * len(tasks)
 
@@ -100,17 +102,13 @@ class NativeImages:
             self.give_back(flow, self._deep)
             self.give_back(values, self.inwards)
 
-        def work(index: int) -> None:
-            if index < groups:
-                differentiate(index, self._members(index))
-            elif index < groups + len(tasks):
-                left, right, out = tasks[index - groups]
-                self._multiply(left, right, out)
-                sums[index - groups] = out.sum()  # here, where it is in the cache
-            else:
-                extra[index - groups - len(tasks)]()
+        def multiply(index: int) -> None:
+            left, right, out = tasks[index]
+            self._multiply(left, right, out)
+            sums[index] = out.sum()  # here, where it is in the cache
 
-        self._share(groups + len(tasks) + len(extra), work)
+        multiplications = [partial(multiply, index) for index in range(len(tasks))]
+        self._share([*self._of_groups(len(seen.images), differentiate), *multiplications, *extra])
         found, total = gradients.summed()
         return LookedBack(found, products, total + sum(sums))
 
@@ -121,16 +119,16 @@ class NativeImages:
         images: Images,
         weights: torch.Tensor,
         slopes: torch.Tensor,
-        extra: Extra = (),
+        extra: Sequence[Job] = (),
     ) -> Errors:
         """Decode features (F, B), compare with images, and come back.
 
-        Fills slopes (F, B), and returns gradients, with those of the errors' sum weighted by weights (B,).
+        Fills slopes (F, B), and returns gradients, with those of the errors' sum weighted by weights (B,). extra: as in
+        look_back.
         """
         pixels, parameters = images[0].numel(), _inwards(network.image_decoder.parameters())
         chain, scales, errors = self.decoder_chain(network), weights * (2.0 / pixels), torch.empty(len(images))
-        groups = self._groups(len(images))
-        gradients = Gradients(parameters, groups)
+        gradients = Gradients(parameters, self._groups(len(images)))
 
         def compare(group: int, members: slice) -> None:
             rooms = self.borrow(self._deep), self.borrow(self._deep)
@@ -140,13 +138,7 @@ class NativeImages:
             for room in rooms:
                 self.give_back(room, self._deep)
 
-        def work(index: int) -> None:
-            if index < groups:
-                compare(index, self._members(index))
-            else:
-                extra[index - groups]()
-
-        self._share(groups + len(extra), work)
+        self._share([*self._of_groups(len(images), compare), *extra])
         return Errors(errors / pixels, gradients)
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
@@ -156,7 +148,7 @@ class NativeImages:
     def product(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
         """Product (M, N) of left (M, K), any strides, and right (K, N), contiguous, on all threads."""
         (found,), tasks = self._divide([(left, right)])
-        self._share(len(tasks), lambda task: self._multiply(*tasks[task]))
+        self._share([partial(self._multiply, *task) for task in tasks])
         return found
 
     def encoder_chain(self, network: ConditionalVAE) -> Chain:
@@ -169,7 +161,7 @@ class NativeImages:
 
     def for_each_group(self, count: int, task: Callable[[int, slice], None]) -> None:
         """Call task(group, its images) for the groups of `count` images, on all threads."""
-        self._share(self._groups(count), lambda group: task(group, self._members(group)))
+        self._share(self._of_groups(count, task))
 
     @property
     def inwards(self) -> range:
@@ -226,16 +218,20 @@ class NativeImages:
         bounds = [count * part // parts // panel * panel for part in range(parts)] + [count]
         return [slice(*pair) for pair in zip(bounds, bounds[1:])]
 
-    def _share(self, count: int, task: Callable[[int], None]) -> None:
-        """Call task(0), ..., task(count - 1), each by whichever thread is free; the caller is one of them."""
-        left, asked_only = iter(range(count)), torch.is_inference_mode_enabled()
+    def _of_groups(self, count: int, task: Callable[[int, slice], None]) -> List[Job]:
+        """task(group, its images) for each of the groups of `count` images."""
+        return [partial(task, group, self._members(group)) for group in range(self._groups(count))]
+
+    def _share(self, jobs: Sequence[Job]) -> None:
+        """Call all of them, each by whichever thread is free; the caller is one of them."""
+        left, asked_only = iter(jobs), torch.is_inference_mode_enabled()
 
         def work() -> None:
             with torch.inference_mode(asked_only), torch.no_grad():  # for this thread, whichever it is
-                for index in left:
-                    task(index)
+                for job in left:
+                    job()
 
-        helping = [self._pool.submit(work) for _ in range(min(count, self.threads) - 1)]
+        helping = [self._pool.submit(work) for _ in range(min(len(jobs), self.threads) - 1)]
         try:
             work()
         finally:
