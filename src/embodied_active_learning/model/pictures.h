@@ -31,6 +31,11 @@ INLINE void transpose(const uint8_t *const *line, int count, long at, uint8_t *o
 }
 #else
 typedef uint8_t bytes16 __attribute__((vector_size(16)));
+#ifdef __clang__
+#define SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define SHUFFLE(a, b, ...) __builtin_shuffle(a, b, (bytes16){__VA_ARGS__})
+#endif
 
 INLINE void transpose(const uint8_t *const *line, int count, long at, uint8_t *out) {
     bytes16 lines[LANES];
@@ -42,14 +47,14 @@ INLINE void transpose(const uint8_t *const *line, int count, long at, uint8_t *o
         bytes16 pairs[LANES];
         UNROLL for (int i = 0; i < LANES / 2; i++) {
             bytes16 a = lines[i], b = lines[i + LANES / 2];
-            pairs[2 * i] = __builtin_shuffle(a, b, (bytes16){0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23});
-            pairs[2 * i + 1] =
-                __builtin_shuffle(a, b, (bytes16){8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31});
+            pairs[2 * i] = SHUFFLE(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+            pairs[2 * i + 1] = SHUFFLE(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
         }
         UNROLL for (int i = 0; i < LANES; i++) lines[i] = pairs[i];
     }
     memcpy(out, lines, 16 * LANES);
 }
+#undef SHUFFLE
 #endif
 
 /* Row y of the pictures as (columns * channels, LANES) bytes; zero beyond count. */
