@@ -9,8 +9,9 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError
-from embodied_active_learning.model.construction import choose_device
+from embodied_active_learning.model.construction import choose_arithmetic, choose_device
 from embodied_active_learning.model.learner import DivergenceError, Learner
+from embodied_active_learning.model.objective import plain_loss
 
 SMALL = {
     "camera": {"width": 45, "height": 45},
@@ -68,8 +69,8 @@ def test_the_decoder_starts_at_the_mean_colour_of_the_observations_unless_it_sha
     for learner in (at_mean, black):
         learner.update()
     colour = GrowingStore(30).images.mean(axis=(0, 1, 2)) / 255.0
-    assert np.allclose(at_mean.network.image_decoder[-1].bias.detach(), colour, atol=0.01)
-    assert np.abs(black.network.image_decoder[-1].bias.detach().numpy()).max() < 0.2
+    assert np.allclose(at_mean.network.image_decoder[-1].bias.detach().cpu(), colour, atol=0.01)
+    assert np.abs(black.network.image_decoder[-1].bias.detach().cpu().numpy()).max() < 0.2
 
 
 def test_training_lowers_the_loss():
@@ -212,10 +213,13 @@ def test_an_evaluation_compares_own_shuffled_and_missing_latents():
     learner = make()
     for _ in range(3):
         learner.update()
+    with torch.no_grad():  # so early, latents say next to nothing
+        learner.network.encoder[-1].weight.mul_(100.0)
     evaluation = learner.evaluate()
     assert (evaluation.update, evaluation.observations) == (3, 8)
     assert 0.0 < evaluation.mse_own < 1.0
-    assert len({evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none}) == 3
+    errors = sorted([evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none])
+    assert np.diff(errors).min() > 1e-6
     assert evaluation.log_std_min < evaluation.log_std_max
 
 
@@ -254,7 +258,9 @@ def test_the_snapshot_answers_as_the_network_did_when_it_was_refreshed():
     learner.refresh()
     assert learner.snapshots.updates == 1
     states, latent = np.random.default_rng(0).uniform(-1, 1, (9, 3)), np.linspace(-1, 1, 16)
-    expected = learner.network.log_std(torch.tensor(latent).float(), torch.tensor(states).float()).detach().numpy()
+    device = next(learner.network.parameters()).device
+    question = (torch.tensor(values, dtype=torch.float32, device=device) for values in (latent, states))
+    expected = learner.network.log_std(*question).detach().cpu().numpy()
     learner.update()
     assert np.allclose(learner.snapshots.log_std(states, latent), expected, atol=1e-6)
     assert learner.snapshots.updates == 1
@@ -367,12 +373,14 @@ def test_readers_in_other_threads_see_whole_snapshots_while_learning_goes_on():
     reader = threading.Thread(target=read)
     reader.start()
     legal = {float(learner.snapshots.log_std(states, latent)[0])}
-    for _ in range(5):
-        learner.update()
-        learner.refresh()
-        legal.add(float(learner.snapshots.log_std(states, latent)[0]))
-    done.set()
-    reader.join(10.0)
+    try:
+        for _ in range(5):
+            learner.update()
+            learner.refresh()
+            legal.add(float(learner.snapshots.log_std(states, latent)[0]))
+    finally:
+        done.set()
+        reader.join(10.0)
     assert answers <= legal
 
 
@@ -381,6 +389,15 @@ def test_cuda_is_refused_where_there_is_none(monkeypatch):
     with pytest.raises(ConfigError, match="training/device"):
         choose_device("cuda")
     assert choose_device("auto") == torch.device("cpu")
+
+
+def test_on_a_gpu_convolutions_are_exact_and_repeatable(monkeypatch):
+    flags = torch.backends.cudnn
+    for name, unwanted in (("deterministic", False), ("benchmark", True), ("allow_tf32", True)):
+        monkeypatch.setattr(flags, name, unwanted)
+    arithmetic = choose_arithmetic(make().network, torch.device("cuda"))
+    assert arithmetic.loss is plain_loss
+    assert (flags.deterministic, flags.benchmark, flags.allow_tf32) == (True, False, False)
 
 
 def test_whoever_asks_for_the_network_gets_it_after_the_step_that_is_still_under_way():

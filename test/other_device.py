@@ -1,0 +1,50 @@
+"""Learning on another device than the CPU, where there is none: a plugin of pytest, and what it needs built.
+
+What torch is told of a device lasts as long as the process, so that tests of it have one of their own.
+"""
+
+import os
+import subprocess
+from pathlib import Path
+
+import torch
+
+from embodied_active_learning.model import learner
+
+SOURCE = Path(__file__).with_suffix(".cpp")
+LIBRARY = "OTHER_DEVICE_LIBRARY"  # the variable that says where it has been built
+NAME = "other"
+
+
+class Runtime:
+    """What torch asks of a device's module, as it asks torch.cuda."""
+
+    @staticmethod
+    def is_available():
+        return True
+
+    @staticmethod
+    def device_count():
+        return 1
+
+    @staticmethod
+    def current_device():
+        return 0
+
+
+def build(path):
+    """Compile the device for the torch that is installed."""
+    torch_folder = Path(torch.__file__).parent
+    abi = f"-D_GLIBCXX_USE_CXX11_ABI={int(torch.compiled_with_cxx11_abi())}"
+    links = [f"-L{torch_folder / 'lib'}", "-ltorch", "-ltorch_cpu", "-lc10"]
+    includes = ["-isystem", str(torch_folder / "include")]
+    command = ["g++", "-std=c++17", "-O0", "-fPIC", "-shared", abi, *includes, "-o", str(path), str(SOURCE), *links]
+    subprocess.run(command, check=True)
+
+
+def pytest_configure():
+    """Let every learner of this process live on the other device, whatever its configuration says."""
+    torch.ops.load_library(os.environ[LIBRARY])
+    torch.utils.rename_privateuse1_backend(NAME)
+    torch._register_device_module(NAME, Runtime)
+    learner.choose_device = lambda name: torch.device(NAME)
