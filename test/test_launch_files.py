@@ -59,6 +59,7 @@ def test_a_real_arm_is_brought_up_with_its_controller_its_camera_and_nothing_tha
     assert (camera["exposure"], camera["video_device"]) == (100, "/dev/video3")
     assert not any(camera[name] for name in ("autoexposure", "autofocus", "auto_white_balance"))
     assert parameters["/franka_arm/config"]["arm"]["robot"] == "franka"
+    assert not any(name.startswith("/config") for name in parameters)  # of a system that may be learning already
     assert not parameters["/use_sim_time"]
 
 

@@ -60,6 +60,8 @@ TIME_AVERAGE_CLOUD = "time_average_cloud"
 WORKSPACE_MARKER = "workspace"
 
 CONFIG_PARAMETER = "config"
+# An arm's own, where a launch file of its own has brought it up.
+ARM_CONFIG_PARAMETER = "franka_arm/config"
 FAILURE_PARAMETER = "failure"
 STARTS_PARAMETER = "starts"
 # Kept by the master for a node that is killed and started again; the launch files begin with them empty.
