@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import re
+import shutil
+import subprocess
 import threading
 from contextlib import ExitStack
 from dataclasses import replace
 
+import genpy
 import numpy as np
 import pytest
+import rosbag
+from std_msgs.msg import String
 
-from embodied_active_learning.errors import SessionError
+from embodied_active_learning.errors import BagError, SessionError
 from embodied_active_learning.figures.fingerprints import draw_fingerprints
 from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.ros.bag_writer import BagWriter
 from embodied_active_learning.session import disk as disk_module
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import is_leftover
@@ -268,3 +274,28 @@ def test_a_fingerprint_set_and_an_identification_load_from_a_full_disk(small_dis
     small_disk.fill()
     assert load_fingerprints(sample).fingerprints
     assert load_identification(sample, "first").decisions
+
+
+def record(bag, messages):
+    """Messages of 5 kB, one a second from second 1 on."""
+    for second in range(1, messages + 1):
+        bag.write("/told", String("x" * 5000), genpy.Time(second))
+
+
+def test_what_was_recorded_before_the_disk_was_full_can_be_saved_by_rosbag(own_mounts, tmp_path):
+    disk = SmallDisk(tmp_path / "disk", kilobytes=3000)  # some of the chunks in which rosbag writes
+    bag = BagWriter(disk.folder / "run.bag")
+    with pytest.raises(BagError, match=r"run\.bag\.active cannot be written \(No space left"):
+        record(bag, 1000)
+    written = bag.messages
+    record(bag, 1)
+    bag.close()
+    assert bag.messages == written
+    [left] = disk.folder.iterdir()
+    saved = shutil.copy(str(left), str(tmp_path))
+    disk.remove()
+    subprocess.run(["rosbag", "reindex", "--quiet", saved], check=True)
+    with rosbag.Bag(saved) as found:
+        seconds = [time.secs for _, _, time in found.read_messages("/told")]
+    assert seconds == list(range(1, len(seconds) + 1))
+    assert len(seconds) > written // 2
