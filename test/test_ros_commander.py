@@ -41,49 +41,6 @@ def test_the_arm_is_free_again_when_its_commander_has_been_silent():
         assert commander.holder == "/fingerprinter"
 
 
-def test_the_arm_is_free_for_others_at_once_when_its_commander_has_ended():
-    ended = set()
-    commander = Commander(5.0, Clock(), has_ended=lambda node: node in ended)
-    with commander.command(request("/rosservice_1")):
-        pass
-    with pytest.raises(ArmBusyError, match="driven by /rosservice_1"), commander.command(request("/rosservice_2")):
-        pass
-    ended.add("/rosservice_1")
-    with commander.command(request("/rosservice_2")):
-        assert commander.holder == "/rosservice_2"
-
-
-def test_a_command_is_carried_out_to_its_end_though_its_commander_has_ended():
-    commander = Commander(5.0, Clock(), has_ended=lambda node: True)
-    with commander.command(request("/rosservice_1")):
-        with pytest.raises(ArmBusyError, match="carrying out"), commander.command(request("/rosservice_2")):
-            pass
-        assert commander.holder == "/rosservice_1"
-
-
-def test_who_has_the_arm_is_not_asked_for_while_it_goes_on():
-    commander = Commander(5.0, Clock(), has_ended=lambda node: pytest.fail("asked"))
-    for _ in range(2):
-        with commander.command(request("/ergodic_planner")):
-            pass
-
-
-def test_an_arm_that_changes_hands_while_the_last_driver_is_asked_for_stays_with_the_new_one():
-    def has_ended(node):
-        if commander.holder == "/first":
-            with commander.stop(request("/first")):
-                pass
-            with commander.command(request("/second")):
-                pass
-        return True
-
-    commander = Commander(5.0, Clock(), has_ended=has_ended)
-    with commander.command(request("/first")):
-        pass
-    with pytest.raises(ArmBusyError, match="driven by /second"), commander.command(request("/third")):
-        pass
-
-
 def test_the_time_of_a_long_command_does_not_free_the_arm():
     clock = Clock()
     commander = Commander(5.0, clock)

@@ -112,16 +112,6 @@ class PyBulletArmTest(unittest.TestCase):
         self.assertTrue(rospy.ServiceProxy("arm/recover", Trigger)().success)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
-    def test_a_driver_that_has_ended_leaves_the_arm_to_others_at_once(self):
-        self.assertTrue(self.stop().success)
-        for x in (0.40, 0.45):
-            call = ["rosservice", "call", "/arm/go_to", f"{{x: {x}, y: 0.0, theta: 0.0}}"]
-            said = subprocess.run(call, check=True, timeout=TIMEOUT, stdout=subprocess.PIPE, text=True).stdout
-            self.assertIn("success: True", said)
-        answer = self.move(0.0, 0.0, 0.0, 0.2)
-        self.assertTrue(answer.success, answer.message)
-        self.assertAlmostEqual(answer.state.x, 0.45, places=2)
-
     def test_a_driver_that_stops_its_arm_leaves_it_to_others_at_once(self):
         headers = {"callerid": "/another_node"}
         move = rospy.ServiceProxy("arm/move", MoveArm, headers=headers)

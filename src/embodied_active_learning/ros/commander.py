@@ -38,25 +38,15 @@ class Interruption:
 
 
 class Commander:
-    """Keeps the arm to the node that drives it, until that node has ended, or been silent for a while (wall seconds).
+    """Keeps the arm to the node that drives it, until that node has been silent for a while (wall seconds).
 
     Everyone may stop the arm. When its driver does, the arm is free at once; when anybody else does, no command is
     taken until somebody calls recover.
     """
 
-    def __init__(
-        self,
-        timeout: float,
-        clock: Callable[[], float] = time.monotonic,
-        stopped_by: str = "",
-        has_ended: Callable[[str], bool] = lambda node: False,
-    ) -> None:
-        """Timeout: wall seconds; stopped_by: the node whose stop has lasted since before.
-
-        has_ended: whether a node of a name is known to have ended; asked when another one wants the arm.
-        """
+    def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic, stopped_by: str = "") -> None:
+        """Timeout: wall seconds; stopped_by: the node whose stop has lasted since before."""
         self._timeout = timeout
-        self._has_ended = has_ended
         self._clock = clock
         self._lock = threading.Lock()
         self._holder = ""
@@ -77,9 +67,7 @@ class Commander:
         A stop waits for the command to end; one that takes long should look, and end early. Raises ArmBusyError naming
         the node that has the arm, or ArmStoppedError.
         """
-        caller = name_of_caller(request)
-        self._forget_if_ended(caller)
-        interruption = self._take(caller)
+        interruption = self._take(name_of_caller(request))
         try:
             with self._turn:
                 with self._lock:
@@ -187,16 +175,6 @@ class Commander:
         """Take commands again, at once."""
         with self.recovery():
             pass
-
-    def _forget_if_ended(self, caller: str) -> None:
-        """Free the arm if its driver has ended, for another caller."""
-        driver = self.holder
-        # Without the lock: it may take a while to find out, and meanwhile the arm can be stopped.
-        if driver in ("", caller) or not self._has_ended(driver):
-            return
-        with self._lock:
-            if self._holder == driver and not self._busy:
-                self._kept = False
 
     def _take(self, caller: str) -> Interruption:
         with self._lock:

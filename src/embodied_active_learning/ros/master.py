@@ -53,16 +53,6 @@ def silence_at(uri: str) -> str:
     return ""
 
 
-def has_ended(node: str) -> bool:
-    """Whether the master knows no node of a name any more; a node that was killed is still known."""
-    master = ServerProxy(rosgraph.get_master_uri(), transport=_PunctualTransport())
-    try:
-        code, message, _ = master.lookupNode("/asking", node)
-    except _NO_ANSWER:
-        return False
-    return code == -1 and message.startswith("unknown node")  # another error says nothing about the node
-
-
 class MasterWatch:
     """Ends this node when the master was restarted; says so, and waits, while the master cannot be reached.
 
