@@ -114,7 +114,7 @@ def test_the_robots_side_may_be_started_anew_and_an_arm_with_other_limits_takes_
             run.wait_for(lambda: "this system is not let drive the arm: workspace/x" in run.robot.said, "it was let")
             before = run.stored
             truth(run.robot.variables, run.robot.prefix)
-            time.sleep(3.0)
+            run.wait_for(lambda: "the arm stands still: workspace/x" in run.server.said, "nobody tried to drive it")
             assert run.stored == before, "something was stored with the wrong arm"
             assert truth(run.robot.variables, run.robot.prefix)["travelled"] < 0.001
         with run.arm():

@@ -11,6 +11,7 @@ from embodied_active_learning.srv import MoveArm
 from std_srvs.srv import SetBool
 
 import rostest
+from embodied_active_learning.config import merge
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -35,6 +36,17 @@ class PreflightFrankaTest(unittest.TestCase):
         self.assertEqual(set(run.findings) - run.about("OK"), {"picture"}, run.output)
         self.assertLessEqual(ROBOT, run.about("OK"), run.output)
         self.assertEqual(run.status, 2, run.output)
+
+    def test_the_arm_is_looked_at_with_its_own_configuration_and_a_system_that_disagrees_is_named(self):
+        own = rospy.get_param("/franka_arm/config")
+        for system, level in ((own, "OK"), (merge(own, {"arm": {"robot": "pybullet"}}), "MISSING")):
+            rospy.set_param("/config", system)
+            run = PreflightRun()
+            rospy.delete_param("/config")
+            self.assertEqual(run.findings["agreement"], level, run.output)
+            self.assertLessEqual(ROBOT, run.about("OK"), run.output)
+            self.assertIn("parameter /franka_arm/config, arm/robot franka", run.output)
+        self.assertIn("arm/robot is 'pybullet' in the system's configuration, and 'franka' in the arm's", run.output)
 
     def test_a_user_stop_and_a_silent_camera_are_both_named(self):
         for fault in ("user_stop", "silence_camera"):

@@ -21,7 +21,10 @@ def choose_device(name: str) -> torch.device:
 
 
 def choose_arithmetic(network: ConditionalVAE, device: torch.device) -> Arithmetic:
-    """The fastest way to compute the loss on the device, of those that give one result for one seed."""
+    """The fastest way to compute the loss on the device.
+
+    On CUDA, where all convolutions of this process are set to be exact and deterministic.
+    """
     if device.type == "cpu":
         return fastest_loss(network)
     if device.type == "cuda":
@@ -29,7 +32,7 @@ def choose_arithmetic(network: ConditionalVAE, device: torch.device) -> Arithmet
         torch.backends.cudnn.deterministic = True
         torch.backends.cudnn.benchmark = False
         torch.backends.cudnn.allow_tf32 = False
-    return Arithmetic(plain_loss, f"torch on {device}, single precision", torch.get_num_threads())
+    return Arithmetic(plain_loss, f"torch on {device}", torch.get_num_threads())
 
 
 def choose_images(config: Config, device: torch.device) -> InferenceImages:

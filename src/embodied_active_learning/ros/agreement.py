@@ -17,6 +17,24 @@ SHARED = ("workspace", "camera", "arm", "franka")
 """Sections that describe the arm and what its camera sees: they must be the same for whoever drives it."""
 
 
+def require_agreement(own: Config, values: Any) -> None:
+    """Raise CommandError where an arm's configuration disagrees with the system's, as it is on the master."""
+    try:
+        theirs = Config.from_dict(values).to_dict()
+    except ConfigError as error:
+        raise CommandError(
+            f"the system's configuration is none ({error}): start it from one of the package's launch files"
+        ) from error
+    ours = own.to_dict()
+    for section in SHARED:
+        for key, value in ours[section].items():
+            if theirs[section][key] != value:
+                raise CommandError(
+                    f"{section}/{key} is {theirs[section][key]!r} in the system's configuration, and {value!r} in "
+                    "the arm's: give both launch files the same robot_profile and profile"
+                )
+
+
 class Agreement:
     """Compares the arm's own configuration with the system's, on the master.
 
@@ -44,28 +62,12 @@ class Agreement:
     def look(self) -> None:
         """Compare them now."""
         before = self.difference
+        values = rospy.get_param(names.CONFIG_PARAMETER, None)
         try:
-            self._compare(rospy.get_param(names.CONFIG_PARAMETER, None))
+            if values is not None:
+                require_agreement(self._own, values)
             self._disagreement = None
         except CommandError as error:
             self._disagreement = error
             if str(error) != before:
                 rospy.logerr("this system is not let drive the arm: %s", error)
-
-    def _compare(self, values: Any) -> None:
-        if values is None:
-            return
-        try:
-            theirs = Config.from_dict(values).to_dict()
-        except ConfigError as error:
-            raise CommandError(
-                f"the system's configuration is none ({error}): start it from one of the package's launch files"
-            ) from error
-        own = self._own.to_dict()
-        for section in SHARED:
-            for key, value in own[section].items():
-                if theirs[section][key] != value:
-                    raise CommandError(
-                        f"{section}/{key} is {theirs[section][key]!r} in the system's configuration, and {value!r} in "
-                        "the arm's: give both launch files the same robot_profile and profile"
-                    )

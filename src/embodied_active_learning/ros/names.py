@@ -60,7 +60,7 @@ TIME_AVERAGE_CLOUD = "time_average_cloud"
 WORKSPACE_MARKER = "workspace"
 
 CONFIG_PARAMETER = "config"
-# An arm's own, where a launch file of its own has brought it up.
+# That of a real arm which robot.launch has brought up.
 ARM_CONFIG_PARAMETER = "franka_arm/config"
 FAILURE_PARAMETER = "failure"
 STARTS_PARAMETER = "starts"
