@@ -27,7 +27,6 @@ def library(tmp_path_factory):
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
 @pytest.mark.parametrize("cases", ["other_device_cases.py", "test_model_learner.py", "test_training_run.py"])
 def test_learning_holds_on_another_device(library, tmp_path, cases):
-    search = os.pathsep.join([str(FOLDER), *sys.path])
-    environment = {**os.environ, "PYTHONPATH": search, other_device.LIBRARY: str(library)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), other_device.LIBRARY: str(library)}
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "other_device", "--basetemp"]
     subprocess.run([*command, str(tmp_path / "cases"), str(FOLDER / cases)], check=True, env=environment)

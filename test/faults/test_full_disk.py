@@ -43,8 +43,8 @@ def own_mounts():
 
 
 @pytest.fixture
-def small_disk(own_mounts, tmp_path, monkeypatch):
-    made = SmallDisk(tmp_path / "disk", kilobytes=600)
+def small_disk(own_mounts, tmp_path, monkeypatch, request):
+    made = SmallDisk(tmp_path / "disk", kilobytes=getattr(request, "param", 600))
     monkeypatch.setattr(disk_module, "SPARE_BYTES", 0)
     yield made
     made.remove()
@@ -282,18 +282,17 @@ def record(bag, messages):
         bag.write("/told", String("x" * 5000), genpy.Time(second))
 
 
-def test_what_was_recorded_before_the_disk_was_full_can_be_saved_by_rosbag(own_mounts, tmp_path):
-    disk = SmallDisk(tmp_path / "disk", kilobytes=3000)  # some of the chunks in which rosbag writes
-    bag = BagWriter(disk.folder / "run.bag")
+@pytest.mark.parametrize("small_disk", [3000], indirect=True)  # kB, some of the chunks in which rosbag writes
+def test_what_was_recorded_before_the_disk_was_full_can_be_saved_by_rosbag(small_disk, tmp_path):
+    bag = BagWriter(small_disk.folder / "run.bag")
     with pytest.raises(BagError, match=r"run\.bag\.active cannot be written \(No space left"):
         record(bag, 1000)
     written = bag.messages
     record(bag, 1)
     bag.close()
     assert bag.messages == written
-    [left] = disk.folder.iterdir()
+    [left] = small_disk.folder.iterdir()
     saved = shutil.copy(str(left), str(tmp_path))
-    disk.remove()
     subprocess.run(["rosbag", "reindex", "--quiet", saved], check=True)
     with rosbag.Bag(saved) as found:
         seconds = [time.secs for _, _, time in found.read_messages("/told")]

@@ -31,6 +31,10 @@ class Side:
         command = ["roslaunch", "--wait", "--sigint-timeout=10", "embodied_active_learning", name, *words]
         return started([*self.prefix, *map(str, command)], self.home / "launch.log", self.variables)
 
+    def truth(self):
+        """What the stand-in's arm did since this was asked last."""
+        return truth(self.variables, self.prefix)
+
     @property
     def said(self):
         path = self.home / "launch.log"
@@ -89,14 +93,14 @@ def test_the_arm_stops_when_the_cable_is_pulled_and_the_run_goes_on_when_it_is_b
         run.wait_for(lambda: run.stored >= 10, "it did not begin")
         run.hosts.pull_cable()
         run.wait_for(lambda: "gives no sign of life any more: the arm is stopped" in robot.said, "it was not freed")
-        assert truth(robot.variables, robot.prefix)["speed"] < 0.001
+        assert robot.truth()["speed"] < 0.001
         before = run.stored
         time.sleep(1.0)
         assert run.stored == before, "something was stored without an arm"
-        assert truth(robot.variables, robot.prefix)["travelled"] < 0.001
+        assert robot.truth()["travelled"] < 0.001
         run.hosts.plug_cable()
         run.learning.wait(180)
-        told = truth(robot.variables, robot.prefix)
+        told = robot.truth()
     assert "waiting for the ROS master" in run.server.said
     assert told["max_outside"] < 0.003
     run.check_whole()
@@ -113,10 +117,10 @@ def test_the_robots_side_may_be_started_anew_and_an_arm_with_other_limits_takes_
         with run.arm(robot_profile=other):
             run.wait_for(lambda: "this system is not let drive the arm: workspace/x" in run.robot.said, "it was let")
             before = run.stored
-            truth(run.robot.variables, run.robot.prefix)
+            run.robot.truth()
             run.wait_for(lambda: "the arm stands still: workspace/x" in run.server.said, "nobody tried to drive it")
             assert run.stored == before, "something was stored with the wrong arm"
-            assert truth(run.robot.variables, run.robot.prefix)["travelled"] < 0.001
+            assert run.robot.truth()["travelled"] < 0.001
         with run.arm():
             run.learning.wait(180)
     run.check_whole()
