@@ -7,6 +7,6 @@ setup(
     **generate_distutils_setup(
         packages=find_packages("src"),
         package_dir={"": "src"},
-        package_data={"embodied_active_learning.model": ["*.c", "*.h"]},
+        package_data={"embodied_active_learning.model.native": ["*.c", "*.h"]},
     )
 )

@@ -21,9 +21,9 @@ from measuring import Row, Section, Turn, resident_memory, row, run, timed
 
 from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.geometry import move, wrap
+from embodied_active_learning.model.allocator import keep_freed_memory
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.learned import LearnedModel
-from embodied_active_learning.model.memory import keep_freed_memory
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
@@ -40,7 +40,7 @@ PLAIN_PART = 4
 # Noise raises no belief. Here each of a fingerprint's twelve candidates counts as raised and pointed to, has as many
 # views as are compared at most, also in a short stream, and is settled at its first yaw: twelve comparisons for each
 # fingerprint. In the simulator's streams there were about six.
-SETTINGS = IdentificationConfig(min_rise=0.0, min_agreement=0.0, view_distance=0.2)
+SETTINGS = IdentificationConfig(min_prominence=0.0, min_agreement=0.0, view_distance=0.2)
 
 
 class Stream(NamedTuple):
@@ -64,7 +64,7 @@ class PlainIdentification:
         self.network.load_state_dict(found.weights)
         self.network.eval().requires_grad_(False)
         self._fingerprints = found.fingerprints
-        self._matcher = Matcher(LearnedModel(config, found.weights), found.fingerprints, SETTINGS)
+        self._matcher = Matcher(TrainedModel(config, found.weights), found.fingerprints, SETTINGS)
         self._weights = EvidenceWeights(SETTINGS)
         self._axes = BeliefGrid(workspace, SETTINGS)
         prior = np.full(SETTINGS.cells, 0.5)  # information, 1 / variance
@@ -115,7 +115,7 @@ def make_set(config: Config, seed: int = 0) -> FingerprintSet:
     """A random model, and noise as the views of two objects and of a blank place."""
     torch.manual_seed(seed)
     weights = ConditionalVAE((config.camera.height, config.camera.width), 3, config.model).state_dict()
-    model, random, fingerprints = LearnedModel(config, weights), np.random.default_rng(seed), []
+    model, random, fingerprints = TrainedModel(config, weights), np.random.default_rng(seed), []
     for number, centre in enumerate(CENTRES):
         states = config.workspace.box().clip(random.normal(centre, (0.01, 0.01, 0.8), (VIEWS, 3)))
         images = make_stream(config, VIEWS, seed + number + 1).images

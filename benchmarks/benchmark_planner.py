@@ -18,12 +18,12 @@ import torch
 from measuring import Row, Section, Turn, rows_of, run, take_turns, timed
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.coverage import workspace_coverage
-from embodied_active_learning.exploration.ergodic import ErgodicController
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.exploration.target import target_distribution
+from embodied_active_learning.model.allocator import keep_freed_memory
 from embodied_active_learning.model.learner import Learner
-from embodied_active_learning.model.memory import keep_freed_memory
 
 HISTORIES = (0, 200, 1000, 3000)  # states visited before
 PARTS = ("refresh", "question", "target", "plan", "visit")

@@ -17,11 +17,11 @@ import torch
 from measuring import Row, Section, resident_memory, rows_of, run, single_precision_peak, take_turns
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.model.allocator import M_MMAP_THRESHOLD, M_TRIM_THRESHOLD, keep_freed_memory
 from embodied_active_learning.model.block_images import BlockImages
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.fast import FastLoss
 from embodied_active_learning.model.learner import Learner
-from embodied_active_learning.model.memory import M_MMAP_THRESHOLD, M_TRIM_THRESHOLD, keep_freed_memory
 from embodied_active_learning.model.objective import plain_loss
 
 PLAIN = "plain network, eager, memory as PyTorch has it"

@@ -19,12 +19,12 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import Config, IdentificationConfig
-from embodied_active_learning.exploration_run import ExplorationRun
-from embodied_active_learning.fingerprint_run import FingerprintRun
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
-from embodied_active_learning.objects.identification import Decision, Identification, Sought
+from embodied_active_learning.objects.identification import Decision, Identification, SearchTarget
 from embodied_active_learning.objects.report import SAME_PLACE, nearest, score
+from embodied_active_learning.pipeline.exploration import ExplorationRun
+from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.simulation import Simulation
@@ -225,14 +225,14 @@ def outcome(
     )
 
 
-def peaks(item: Sought, settings: IdentificationConfig) -> List[Decision]:
+def peaks(item: SearchTarget, settings: IdentificationConfig) -> List[Decision]:
     """The peaks of a belief as claims, the highest first."""
     own = item.session, item.fingerprint.name, item.fingerprint.kind
     found = item.grid.peaks(settings.separation, settings.candidates)
     return [Decision(*own, True, 0, peak.pose, 0.0, 0.0, 0, peak.mean, peak.std, "") for peak in found]
 
 
-def ranked(item: Sought, settings: IdentificationConfig, instances: int) -> List[Decision]:
+def ranked(item: SearchTarget, settings: IdentificationConfig, instances: int) -> List[Decision]:
     """The paper's table: as many of the highest peaks as there are instances; for a blank the highest."""
     return peaks(item, settings)[: 1 if item.fingerprint.kind == BLANK else instances]
 

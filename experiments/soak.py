@@ -30,7 +30,7 @@ from embodied_active_learning.msg import TrainingStatus
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.node import read_config, wait_until
+from embodied_active_learning.ros.runtime.node import read_config, wait_until
 
 KINDS = ("memory", "handles", "threads")
 UNITS = {"memory": "MB", "handles": "", "threads": ""}

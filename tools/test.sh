@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs every test, library and nodes, and ends with their count and a truthful exit status.
-# Arguments go to pytest: tools/test.sh test/test_config.py -k unknown
+# Arguments go to pytest: tools/test.sh test/ground/test_config.py -k unknown
 set -eo pipefail  # not -u: ROS's own set-up files read variables that are not set
 cd "$(dirname "$0")/.."
 source ./setup.bash

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, Optional, Sequence, Tuple
 
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.reading import FileReader
+from embodied_active_learning.files import FileReader
 from embodied_active_learning.workspace import STATE_NAMES, Workspace
 
 _PROFILE_READER = FileReader(
@@ -292,14 +292,14 @@ class IdentificationConfig:
     candidates: int = setting(12, "peaks of a belief that are looked at", "", 1, 1000)
     separation: float = setting(0.06, "closest that two objects are taken to lie", "m", 0.005, 1.0)
     min_belief: float = setting(0.5, "mean belief that the decision 'belief' asks for", "", 0.0, 1.0)
-    mismatch_limit: float = setting(
-        0.065, "largest mismatch, either way, of a view that agrees with the fingerprint; 1 is white", "", 0.0, 1.0
+    residual_limit: float = setting(
+        0.065, "largest residual, either way, of a view that agrees with the fingerprint; 1 is white", "", 0.0, 1.0
     )
     agreement_distance: float = setting(
         0.02, "farthest from the candidate that a view that agrees may point to", "m", 0.001, 0.5
     )
     min_agreement: float = setting(0.55, "share of the compared views that must agree", "", 0.0, 1.0)
-    min_rise: float = setting(
+    min_prominence: float = setting(
         0.01,
         "how far the belief at an object must rise above the median of its grid: over bare table it hardly does",
         "",

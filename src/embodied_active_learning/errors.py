@@ -61,7 +61,7 @@ class BusyError(EmbodiedActiveLearningError):
     """What was asked for can be done only once at a time, and is under way."""
 
 
-class UnansweredError(CommandError):
+class NoResponseError(CommandError):
     """A motion command was not answered: whether the arm carries it out is not known."""
 
 

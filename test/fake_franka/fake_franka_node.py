@@ -5,7 +5,7 @@ Like franka_control.launch it runs franka_control, controller_manager and franka
 camera. README.md beside this file tells how to start it, its parameters, and the faults that it can be given.
 """
 
-import embodied_active_learning.ros.interruptible  # noqa: F401  before all that takes long to import
+import embodied_active_learning.ros.runtime.interruptible  # noqa: F401  before all that takes long to import
 
 import importlib
 import os
@@ -16,7 +16,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from embodied_active_learning.ros.node import run_node
+from embodied_active_learning.ros.runtime.node import run_node
 from fake_franka.generate import use_messages
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from embodied_active_learning.workspace import Workspace
 from node_process import NodeProcess
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from fake_franka.generate import DEFAULT_FOLDER, generate
 from threads import in_a_thread

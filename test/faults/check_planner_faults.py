@@ -43,7 +43,7 @@ class FaultyArm:
         self._states = rospy.Publisher("arm/state", PlanarState, queue_size=1)
         rospy.Service("arm/move", MoveArm, self.move)
         rospy.Service("arm/go_to", GoToPose, self.go_to)
-        rospy.Service("arm/keep", Trigger, lambda _request: TriggerResponse(True, ""))
+        rospy.Service("arm/heartbeat", Trigger, lambda _request: TriggerResponse(True, ""))
         rospy.Service("arm/stop", Trigger, self.stop)
         threading.Thread(target=self.run, daemon=True).start()
 
@@ -143,7 +143,7 @@ class PlannerFaultsTest(unittest.TestCase):
     def setUpClass(cls):
         cls.health = {}
         cls.last = Observation(index=0)
-        cls.mismatch = 0.0
+        cls.residual = 0.0
         rospy.Subscriber("/diagnostics", DiagnosticArray, cls.on_diagnostics)
         rospy.Subscriber("observation", Observation, cls.on_observation)
         cls.arm = FaultyArm()
@@ -161,7 +161,7 @@ class PlannerFaultsTest(unittest.TestCase):
     def on_observation(cls, message):
         cls.last = message
         difference = pose_seen(message.image) - state_arrays(message.state)[0]
-        cls.mismatch = max(cls.mismatch, float(np.max(np.abs(difference))))
+        cls.residual = max(cls.residual, float(np.max(np.abs(difference))))
 
     def setUp(self):
         self.arm.fault = ""
@@ -314,7 +314,7 @@ class PlannerFaultsTest(unittest.TestCase):
         states = np.array(rospy.ServiceProxy("trainer/trajectory", GetTrajectory)().states).reshape(-1, 3)
         self.assertTrue(np.all(np.isfinite(states)))
         self.assertGreater(len(states), 10)
-        self.assertLess(self.mismatch, 1e-6, "an image was taken for a view from elsewhere")
+        self.assertLess(self.residual, 1e-6, "an image was taken for a view from elsewhere")
         observed, _ = state_arrays(self.last.state)
         self.assertTrue(np.any(np.all(np.isclose(states, observed), axis=1)))
 

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Callable, Dict, Iterator, List, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from embodied_active_learning.session.checkpoints import load_model
-from embodied_active_learning.session.names import SessionPaths
 from embodied_active_learning.session.observations import DATA_FILE
+from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, processes_of, started
 

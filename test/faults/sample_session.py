@@ -12,11 +12,11 @@ import yaml
 
 from embodied_active_learning.config import Config, load_profile
 from embodied_active_learning.errors import ConfigError, CorruptFileError, EmbodiedActiveLearningError, WorldError
-from embodied_active_learning.exploration_run import ExplorationRun
 from embodied_active_learning.model.checkpoint import NETWORK
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.pipeline.exploration import ExplorationRun
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.identifications import (
@@ -25,8 +25,8 @@ from embodied_active_learning.session.identifications import (
     load_trace,
     save_identification,
 )
-from embodied_active_learning.session.learned import load_trained
-from embodied_active_learning.session.planner_memory import PlannerMemory, load_memory, save_memory
+from embodied_active_learning.session.newest_model import load_newest_model
+from embodied_active_learning.session.planner_state import PlannerState, load_memory, save_memory
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary, summarise, write_summary
 from embodied_active_learning.simulation.table_picture import TablePicture
@@ -114,8 +114,8 @@ def make_sample(root: Path) -> Path:
     return session.paths.path
 
 
-def _planner_memory(run: Dict[str, np.ndarray]) -> PlannerMemory:
-    return PlannerMemory(2, (1, 5), np.array([0.4, 0.1, 0.2]), np.zeros(3), np.empty(0), run)
+def _planner_memory(run: Dict[str, np.ndarray]) -> PlannerState:
+    return PlannerState(2, (1, 5), np.array([0.4, 0.1, 0.2]), np.zeros(3), np.empty(0), run)
 
 
 def _write_files_of_people(folder: Path) -> None:
@@ -189,7 +189,7 @@ KINDS = (
     Kind("training.csv", _table("training"), checked=False),
     Kind("evaluation.csv", _table("evaluation"), checked=False),
     Kind("checkpoints/checkpoint_000000003.safetensors", _checkpoint),
-    Kind("model.safetensors", lambda path: _plain(load_trained(Session.open_read_only(path)).weights)),
+    Kind("model.safetensors", lambda path: _plain(load_newest_model(Session.open_read_only(path)).weights)),
     Kind("planner.safetensors", _memory),
     Kind(f"{_GENERATION}/set.yaml", _set),
     Kind(f"{_GENERATION}/model.safetensors", _set),

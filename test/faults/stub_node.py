@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A node that does one thing, named by its first argument, until it is asked to end, or for ever."""
 
-import embodied_active_learning.ros.interruptible  # noqa: F401
+import embodied_active_learning.ros.runtime.interruptible  # noqa: F401
 
 import subprocess
 import sys
@@ -12,10 +12,10 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.ros.diagnostics import Health, report_health
-from embodied_active_learning.ros.failure import FailureWatch
-from embodied_active_learning.ros.node import publish, run_node, wait_until
-from embodied_active_learning.ros.services import PatientService
+from embodied_active_learning.ros.runtime.diagnostics import Health, report_health
+from embodied_active_learning.ros.runtime.failure import FailureWatch
+from embodied_active_learning.ros.runtime.node import publish, run_node, wait_until
+from embodied_active_learning.ros.runtime.services import RetryingService
 
 
 def compute(_request=None):
@@ -63,7 +63,7 @@ def go_on_while_the_run_can():
 
 
 def call_one_who_does_not_answer():
-    PatientService("compute", Trigger).call(Trigger._request_class())
+    RetryingService("compute", Trigger).call(Trigger._request_class())
 
 
 if __name__ == "__main__":

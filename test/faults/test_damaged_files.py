@@ -25,7 +25,7 @@ from embodied_active_learning.errors import (
     ObservationError,
     SessionError,
 )
-from embodied_active_learning.reading import LARGEST_YAML, parse_yaml
+from embodied_active_learning.files import LARGEST_YAML, parse_yaml
 from embodied_active_learning.session.array_files import read_arrays, write_arrays
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table

@@ -19,7 +19,8 @@ from std_msgs.msg import String
 from embodied_active_learning.errors import BagError, SessionError
 from embodied_active_learning.figures.fingerprints import draw_fingerprints
 from embodied_active_learning.objects.identification import Identification
-from embodied_active_learning.ros.bag_writer import BagWriter
+from embodied_active_learning.pipeline.training import TrainingRun
+from embodied_active_learning.ros.bags.writer import BagWriter
 from embodied_active_learning.session import disk as disk_module
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import is_leftover
@@ -30,7 +31,6 @@ from embodied_active_learning.session.identifications import load_identification
 from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.session import Session, check_session
 from embodied_active_learning.session.summary import read_summary, summarise, write_summary
-from embodied_active_learning.training_run import TrainingRun
 from sample_session import KINDS, NAME, configuration, fingerprints, make_sample, network, observation
 from small_disk import SmallDisk, enter_own_mounts
 

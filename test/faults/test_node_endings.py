@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from embodied_active_learning.ros.ending import ExitCode, children
+from embodied_active_learning.ros.runtime.shutdown import ExitCode, children
 from launching import ROOT, environment, started
 
 STUB = Path(__file__).with_name("stub_node.py")

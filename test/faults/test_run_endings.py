@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import pytest
 import yaml
 
-from embodied_active_learning.resolve import resolve
-from embodied_active_learning.ros.ending import children
+from embodied_active_learning.pipeline.resolve import resolve
+from embodied_active_learning.ros.runtime.shutdown import children
 from embodied_active_learning.session.checkpoints import load_latest
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launched, pid_of

@@ -11,9 +11,9 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model import learner as learner_module
 from embodied_active_learning.model.learner import ATTEMPTS
+from embodied_active_learning.pipeline.training import ROLLBACKS, TrainingRun
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.observations import DATA_FILE
-from embodied_active_learning.training_run import ROLLBACKS, TrainingRun
 from training_thread import TIMEOUT, hand_over, observation, training
 
 STEPS = 24

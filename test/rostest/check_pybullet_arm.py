@@ -24,11 +24,11 @@ TIMEOUT = 30.0
 class PyBulletArmTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        for name in ("arm/move", "arm/go_to", "arm/keep", "arm/stop", "arm/recover"):
+        for name in ("arm/move", "arm/go_to", "arm/heartbeat", "arm/stop", "arm/recover"):
             rospy.wait_for_service(name, TIMEOUT)
         cls.move = rospy.ServiceProxy("arm/move", MoveArm)
         cls.go_to = rospy.ServiceProxy("arm/go_to", GoToPose)
-        cls.keep = rospy.ServiceProxy("arm/keep", Trigger)
+        cls.keep = rospy.ServiceProxy("arm/heartbeat", Trigger)
         cls.stop = rospy.ServiceProxy("arm/stop", Trigger)
         cls.tf = tf2_ros.Buffer()
         cls.tf_listener = tf2_ros.TransformListener(cls.tf)
@@ -126,7 +126,7 @@ class PyBulletArmTest(unittest.TestCase):
     def test_only_the_driver_keeps_the_arm(self):
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
         self.assertTrue(self.keep().success)
-        answer = rospy.ServiceProxy("arm/keep", Trigger, headers={"callerid": "/another_node"})()
+        answer = rospy.ServiceProxy("arm/heartbeat", Trigger, headers={"callerid": "/another_node"})()
         self.assertFalse(answer.success)
         self.assertIn("driven by /check_pybullet_arm, not by /another_node", answer.message)
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
+from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
-from embodied_active_learning.exploration.ergodic import ErgodicController
 from embodied_active_learning.exploration.explorer import Explorer
 from embodied_active_learning.exploration.memory import Memory, recall
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.exploration.streams import Stream, generator, generator_words, set_generator_words
 from embodied_active_learning.exploration.target import flat_distribution
+from embodied_active_learning.rng import Stream, generator, generator_state, set_generator_state
 
 DRAWS = 10  # velocities tried before the random walk heads for a random state instead
 BORDER = 0.05  # distance from the limits that the random walk keeps, normalised
@@ -59,14 +59,14 @@ class RandomWalkExplorer(Explorer):
         return {
             "position": self._position.copy(),
             "velocity": self._velocity.copy(),
-            "generator": generator_words(self._random),
+            "generator": generator_state(self._random),
         }
 
     def recall(self, memory: Mapping[str, np.ndarray]) -> None:
         """See Explorer."""
         recalled = recall(memory, self.memory())
         self._position, self._velocity = recalled["position"], recalled["velocity"]
-        set_generator_words(self._random, recalled["generator"])
+        set_generator_state(self._random, recalled["generator"])
 
     @property
     def planned_states(self) -> np.ndarray:
@@ -104,11 +104,11 @@ class UniformExplorer(Explorer):
 
     def memory(self) -> Memory:
         """See Explorer."""
-        return {"generator": generator_words(self._random)}
+        return {"generator": generator_state(self._random)}
 
     def recall(self, memory: Mapping[str, np.ndarray]) -> None:
         """See Explorer."""
-        set_generator_words(self._random, recall(memory, self.memory())["generator"])
+        set_generator_state(self._random, recall(memory, self.memory())["generator"])
 
     @property
     def planned_states(self) -> np.ndarray:

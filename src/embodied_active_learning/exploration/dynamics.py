@@ -70,7 +70,9 @@ class DoubleIntegrator:
             velocity = velocities[:, t] = np.where(outward, 0.0, reached)
         return Rollout(positions, velocities, positions == unbounded, np.abs(wanted) <= limit)
 
-    def pull_back(self, rollout: Rollout, position_gradient: np.ndarray, velocity_gradient: np.ndarray) -> np.ndarray:
+    def backpropagate(
+        self, rollout: Rollout, position_gradient: np.ndarray, velocity_gradient: np.ndarray
+    ) -> np.ndarray:
         """Gradients by predicted states -> gradient by controls, the adjoint of rollout. (B, H, D) each."""
         half_step = 0.5 * self.step * self.gain
         stopped = ~rollout.position_free & (rollout.velocities == 0.0)

@@ -11,7 +11,7 @@ from embodied_active_learning.exploration.baselines import (
     UniformErgodicExplorer,
     UniformExplorer,
 )
-from embodied_active_learning.exploration.ergodic import ErgodicController
+from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.explorer import Explorer
 
 REGISTRY: Dict[str, Callable[[Config, int], Explorer]] = {

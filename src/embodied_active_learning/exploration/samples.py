@@ -11,7 +11,7 @@ from embodied_active_learning.exploration.coverage import mean_coverage
 from embodied_active_learning.exploration.history import History
 from embodied_active_learning.exploration.kernel import CoverageKernel
 from embodied_active_learning.exploration.memory import Memory, recall
-from embodied_active_learning.exploration.streams import Stream, generator, generator_words, set_generator_words
+from embodied_active_learning.rng import Stream, generator, generator_state, set_generator_state
 
 
 class WorkspaceSamples:
@@ -84,7 +84,7 @@ class WorkspaceSamples:
             "visitation": self._visitation.copy(),
             "largest": self._largest.copy(),
             "oldest": np.array([self._oldest]),
-            "generator": generator_words(self._random),
+            "generator": generator_state(self._random),
         }
 
     def recall(self, memory: Mapping[str, np.ndarray]) -> None:
@@ -96,7 +96,7 @@ class WorkspaceSamples:
         self._states, self._features = recalled["states"], recalled["features"]
         self._visitation, self._largest = recalled["visitation"], recalled["largest"]
         self._oldest = int(recalled["oldest"][0]) % len(self._states)
-        set_generator_words(self._random, recalled["generator"])
+        set_generator_state(self._random, recalled["generator"])
 
     def _draw(self, which: np.ndarray) -> None:
         """Draw the samples of these indices, and sum up all visited states at them."""

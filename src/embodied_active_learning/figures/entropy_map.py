@@ -18,7 +18,7 @@ from embodied_active_learning.figures.views import (
     show_workspace,
 )
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.workspace import Workspace
@@ -30,7 +30,7 @@ _SHOWN_YAWS = (1, 3, 5)  # of the seven, from the lowest to the highest
 
 
 def draw_entropy(
-    path: Path, session: Session, model: LearnedModel, seen: Seen, objects: Sequence[Location] = ()
+    path: Path, session: Session, model: TrainedModel, seen: Seen, objects: Sequence[Location] = ()
 ) -> Path:
     """Top: mean map, visited states, table from above. Bottom: the map at three yaws. One colour scale for all."""
     workspace = session.config.workspace.box()
@@ -56,7 +56,7 @@ def draw_entropy(
     return save(figure, path)
 
 
-def entropy_maps(model: LearnedModel, latents: np.ndarray, workspace: Workspace) -> np.ndarray:
+def entropy_maps(model: TrainedModel, latents: np.ndarray, workspace: Workspace) -> np.ndarray:
     """Mean ln sigma over latents (N, L). -> (yaws, ny, nx); x and y at the middle of the cells, y upwards."""
     yaw, y, x = np.meshgrid(_middles(_YAWS), _middles(_GRID), _middles(_GRID), indexing="ij")
     states = workspace.denormalise(np.stack((x, y, yaw), axis=-1).reshape(-1, 3))
@@ -74,7 +74,7 @@ def _middles(cells: int) -> np.ndarray:
     return (np.arange(cells) + 0.5) / cells * 2.0 - 1.0
 
 
-def _latents(model: LearnedModel, seen: Observations) -> np.ndarray:
+def _latents(model: TrainedModel, seen: Observations) -> np.ndarray:
     """Mean latents of observations spread over the run. -> (N, L)."""
     indices = spread(len(seen.stamps), _LATENTS)
     means, _ = model.encode(seen.raw_states[indices], seen.images[indices])

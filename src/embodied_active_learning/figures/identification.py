@@ -9,8 +9,8 @@ from embodied_active_learning.figures.beliefs import BeliefPanel, draw_beliefs
 from embodied_active_learning.figures.mosaic import top_view
 from embodied_active_learning.figures.trace import draw_trace
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.identification_run import IdentificationRun
-from embodied_active_learning.objects.identification import Decision, Sought
+from embodied_active_learning.objects.identification import Decision, SearchTarget
+from embodied_active_learning.pipeline.identification import IdentificationRun
 
 MOST_TRACES = 12
 """Fingerprints of which a trace is drawn; it takes a second each."""
@@ -38,7 +38,7 @@ def draw_identification(
     return paths
 
 
-def _panel(item: Sought, decisions: Sequence[Decision]) -> BeliefPanel:
+def _panel(item: SearchTarget, decisions: Sequence[Decision]) -> BeliefPanel:
     mean, std = item.grid.over_yaw()
     return BeliefPanel(
         f"{item.session}\n{item.fingerprint.name}",

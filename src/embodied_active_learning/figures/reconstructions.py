@@ -10,7 +10,7 @@ import numpy as np
 
 from embodied_active_learning.figures.style import MEDIUM, SMALL, new_figure, save
 from embodied_active_learning.figures.views import draw_image
-from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.session.observations import Observations
 
 _COLUMNS = 8
@@ -19,7 +19,7 @@ _LEAST_CONTRAST = 0.1  # of the largest contrast: where objects are rare, the be
 _AXIS_WEIGHTS = (1.0, 1.0, 0.3)  # of x, y and theta when places are told apart: turning shows the same object again
 
 
-def draw_reconstructions(path: Path, model: LearnedModel, seen: Observations, columns: int = _COLUMNS) -> Path:
+def draw_reconstructions(path: Path, model: TrainedModel, seen: Observations, columns: int = _COLUMNS) -> Path:
     """Rows: observed, own latent, shuffled latent, no latent; columns: observations of all objects, and a blank."""
     chosen = spread_of_images(seen.images, seen.states, columns)
     states, images = seen.raw_states[chosen], seen.images[chosen]
@@ -68,7 +68,7 @@ def _contrast(images: np.ndarray) -> np.ndarray:
     return np.square(features - np.median(features, axis=0)).sum(axis=(1, 2, 3))
 
 
-def _predict(model: LearnedModel, latents: np.ndarray, states: np.ndarray) -> Tuple[np.ndarray, List[str]]:
+def _predict(model: TrainedModel, latents: np.ndarray, states: np.ndarray) -> Tuple[np.ndarray, List[str]]:
     means, stds = model.decode(latents, states)
     return means, [rf"$\sigma$ {std:.3f}" for std in stds]
 

@@ -11,7 +11,7 @@ from embodied_active_learning.figures.learning_metrics import draw_learning_metr
 from embodied_active_learning.figures.mosaic import Seen, look_back
 from embodied_active_learning.figures.reconstructions import draw_reconstructions
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.session.learned import load_trained
+from embodied_active_learning.session.newest_model import load_newest_model
 from embodied_active_learning.session.session import Session
 
 _LOG = logging.getLogger(__name__)
@@ -26,7 +26,7 @@ def draw_all(session: Session, objects: Sequence[Location] = (), seen: Optional[
     folder = session.paths.figures
     seen = look_back(session) if seen is None else seen
     paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: seen)]
-    trained = load_trained(session)
+    trained = load_newest_model(session)
     if trained is None:
         _LOG.info("%s has learned nothing yet: only %s was drawn", session.paths.path, paths[0].name)
         return paths

@@ -89,7 +89,7 @@ def mark_objects(axes: Axes, objects: Sequence[Location], behind: bool = False) 
 
 
 def mark_decisions(axes: Axes, decisions: Sequence[Decision]) -> None:
-    """Where a fingerprint was found: number, sureness, and yaw; hollow where it fitted best but was not found.
+    """Where a fingerprint was found: number, confidence, and yaw; hollow where it fitted best but was not found.
 
     The axes must have their limits already. A blank has no yaw.
     """
@@ -100,7 +100,7 @@ def mark_decisions(axes: Axes, decisions: Sequence[Decision]) -> None:
             number = str(decision.instance)
             style = {"color": "white", "fontsize": SMALL, "weight": "bold", "zorder": _ABOVE_NAMES + 1}
             axes.annotate(number, (x, y), ha="center", va="center", **style)
-        _write_beside(axes, f"{decision.sureness:.0%}", (x, y), SMALL, above=False)
+        _write_beside(axes, f"{decision.confidence:.0%}", (x, y), SMALL, above=False)
 
 
 def mark_pose(axes: Axes, pose: np.ndarray, with_yaw: bool, filled: bool = True) -> None:

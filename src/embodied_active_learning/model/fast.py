@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 
 from embodied_active_learning.model.block_images import BlockImages
-from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.kernels import Kernels
-from embodied_active_learning.model.native import NativeImages
-from embodied_active_learning.model.native_loss import NativeLoss
+from embodied_active_learning.model.native.convolutions import NativeImages
+from embodied_active_learning.model.native.kernels import Kernels
+from embodied_active_learning.model.native.library import load_library
+from embodied_active_learning.model.native.loss import NativeLoss
 from embodied_active_learning.model.objective import HALF_LOG_TWO_PI, Arithmetic, Batch, Loss, kl_divergence
 
 

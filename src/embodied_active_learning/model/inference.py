@@ -9,10 +9,10 @@ import torch
 from torch import nn
 
 from embodied_active_learning.config import ModelConfig
-from embodied_active_learning.model.compiler import load_library
 from embodied_active_learning.model.cvae import ConditionalVAE, Size
-from embodied_active_learning.model.kernels import Kernels
-from embodied_active_learning.model.native import NativeImages
+from embodied_active_learning.model.native.convolutions import NativeImages
+from embodied_active_learning.model.native.kernels import Kernels
+from embodied_active_learning.model.native.library import load_library
 
 CHUNK = 64
 """Images that torch takes at a time, so that what lies between the layers stays small."""

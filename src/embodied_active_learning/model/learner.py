@@ -13,19 +13,19 @@ from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLear
 from embodied_active_learning.exploration.coverage import workspace_coverage
 from embodied_active_learning.exploration.kernel import CoverageKernel
 from embodied_active_learning.model import checkpoint
-from embodied_active_learning.model.construction import (
+from embodied_active_learning.model.batches import BatchReader, Observations
+from embodied_active_learning.model.build import (
     build_network,
     choose_arithmetic,
     choose_device,
     choose_images,
 )
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.measures import Evaluation, active_units, evaluate_model
+from embodied_active_learning.model.metrics import Evaluation, active_units, evaluate_model
 from embodied_active_learning.model.objective import Arithmetic, Loss
-from embodied_active_learning.model.observations import BatchReader, Observations
 from embodied_active_learning.model.optimiser import Optimiser
+from embodied_active_learning.model.replicas import Replicas
 from embodied_active_learning.model.schedule import Schedule
-from embodied_active_learning.model.snapshot import Snapshots
 
 ATTEMPTS = 5  # batches tried for one update before a loss that is not finite counts as divergence
 
@@ -87,7 +87,7 @@ class Learner:
         self.skipped = 0
         self.rollbacks = 0
         self._images = choose_images(config, self._device)
-        self.snapshots = Snapshots(self.network, self._images)
+        self.snapshots = Replicas(self.network, self._images)
 
     @property
     def network(self) -> ConditionalVAE:

@@ -1,4 +1,4 @@
-"""Finding fingerprints again: a stream of images goes in, beliefs and decisions come out (paper, Sec. 5)."""
+"""CheckResult fingerprints again: a stream of images goes in, beliefs and decisions come out (paper, Sec. 5)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from embodied_active_learning.config import CameraConfig, IdentificationConfig
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.geometry import pose_distance
-from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights, Peak
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matcher, Matches
@@ -33,15 +33,15 @@ class Decision:
     found: bool
     instance: int  # 1, 2, ... of those found; 0 when not found
     pose: np.ndarray  # (3,) m, m, rad
-    sureness: float  # share of the compared views that agree, 0 to 1; 0 when they are too few
-    mismatch: float  # grey levels of 1, median over the views; infinite where none was compared
+    confidence: float  # share of the compared views that agree, 0 to 1; 0 when they are too few
+    residual: float  # grey levels of 1, median over the views; infinite where none was compared
     views: int  # of the candidate, from near and usable places
     belief_mean: float
     belief_std: float
     reason: str  # for a person
 
 
-class Sought:
+class SearchTarget:
     """One fingerprint that is being looked for."""
 
     def __init__(
@@ -93,7 +93,7 @@ class Identification:
         """
         self._settings = settings
         self._weights = EvidenceWeights(settings)
-        self._groups: List[Tuple[Matcher, List[Sought]]] = []
+        self._groups: List[Tuple[Matcher, List[SearchTarget]]] = []
         self.images = 0
         for found in sets:
             _check_camera(found, camera)
@@ -104,11 +104,11 @@ class Identification:
             sought = []
             for item in found.fingerprints:
                 grid, verifier = BeliefGrid(workspace, settings), Verifier(model, item, found.config, settings)
-                sought.append(Sought(found, item, matcher.threshold, grid, verifier))
+                sought.append(SearchTarget(found, item, matcher.threshold, grid, verifier))
             self._groups.append((matcher, sought))
 
     @property
-    def sought(self) -> List[Sought]:
+    def sought(self) -> List[SearchTarget]:
         """Every fingerprint that is looked for, by session."""
         return [item for _, group in self._groups for item in group]
 
@@ -142,7 +142,7 @@ class Identification:
         accepted: List[Decision] = []
         winners: List[Tuple[Decision, Decision]] = []
         found = [candidate for candidate in candidates if candidate.found]
-        for candidate in sorted(found, key=lambda item: -(item.belief_mean if by_belief else item.sureness)):
+        for candidate in sorted(found, key=lambda item: -(item.belief_mean if by_belief else item.confidence)):
             rivals = (
                 other
                 for other in accepted
@@ -156,12 +156,12 @@ class Identification:
                 accepted.append(candidate)
         return winners
 
-    def _candidates(self, item: Sought, states: np.ndarray, images: np.ndarray) -> List[Decision]:
+    def _candidates(self, item: SearchTarget, states: np.ndarray, images: np.ndarray) -> List[Decision]:
         """Every peak of a belief, the highest first, decided on its own."""
         peaks = item.grid.peaks(self._settings.separation, self._settings.candidates)
         return [self._candidate(item, peak, states, images) for peak in peaks]
 
-    def _candidate(self, item: Sought, peak: Peak, states: np.ndarray, images: np.ndarray) -> Decision:
+    def _candidate(self, item: SearchTarget, peak: Peak, states: np.ndarray, images: np.ndarray) -> Decision:
         """The decision at a peak, at the most believed yaw that the views agree with.
 
         An object may look much the same from two sides; at the wrong one, views are explained badly, or the camera
@@ -177,14 +177,14 @@ class Identification:
             tried.append(self._at(item, peak, pose, states, images))
             if tried[-1].found:
                 break
-        return max(tried, key=lambda decision: (decision.found, decision.sureness))
+        return max(tried, key=lambda decision: (decision.found, decision.confidence))
 
-    def _at(self, item: Sought, peak: Peak, pose: np.ndarray, states: np.ndarray, images: np.ndarray) -> Decision:
+    def _at(self, item: SearchTarget, peak: Peak, pose: np.ndarray, states: np.ndarray, images: np.ndarray) -> Decision:
         """The decision at a pose (3,) next to a peak."""
         settings = self._settings
         views = item.verifier.views(pose, states)
         pointing = self._pointing(item, views, pose)
-        rises = item.fingerprint.kind == BLANK or peak.rise >= settings.min_rise
+        rises = item.fingerprint.kind == BLANK or peak.rise >= settings.min_prominence
         enough = len(views) >= settings.min_views and pointing.mean() >= settings.min_agreement
         if settings.decision == "verified" and rises and enough:
             comparison = item.verifier.compare(pose, states, images)
@@ -199,15 +199,15 @@ class Identification:
             found=found,
             instance=0,
             pose=pose,
-            sureness=float(agreeing.mean()) if len(agreeing) >= settings.min_views else 0.0,
-            mismatch=comparison.typical,
+            confidence=float(agreeing.mean()) if len(agreeing) >= settings.min_views else 0.0,
+            residual=comparison.typical,
             views=len(agreeing),
             belief_mean=peak.mean,
             belief_std=peak.std,
             reason=reason,
         )
 
-    def _pointing(self, item: Sought, views: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    def _pointing(self, item: SearchTarget, views: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Which of the views (V,) by themselves place the object at the candidate pose; a blank is in no place."""
         if item.fingerprint.kind == BLANK or not len(views):
             return np.ones(len(views), dtype=bool)
@@ -216,7 +216,7 @@ class Identification:
 
     def _alike(self, comparison: Comparison) -> np.ndarray:
         """Which of the views (V,) look like the fingerprint's own: neither worse explained nor much better."""
-        return np.abs(comparison.mismatch) <= self._settings.mismatch_limit
+        return np.abs(comparison.residual) <= self._settings.residual_limit
 
     def _judge(self, peak: Peak, rises: bool, pointing: np.ndarray, agreeing: np.ndarray) -> Tuple[bool, str]:
         """Whether the fingerprint is found, from the belief and its views (V,); and why, for a person."""
@@ -227,7 +227,7 @@ class Identification:
         if views < settings.min_views:
             return False, f"seen from {views} places only, {settings.min_views} are needed"
         if not rises:
-            return False, f"belief {peak.rise:.3f} above its median only, {settings.min_rise:g} are needed"
+            return False, f"belief {peak.rise:.3f} above its median only, {settings.min_prominence:g} are needed"
         if pointing.mean() < settings.min_agreement:
             return False, f"{pointing.sum()} of {views} views point here"
         return bool(agreeing.mean() >= settings.min_agreement), f"{agreeing.sum()} of {views} views agree"
@@ -257,15 +257,15 @@ def _numbered(candidates: Sequence[Decision]) -> List[Decision]:
     """The found ones by number, or the best one that was not. Of a blank, which is everywhere, one is enough."""
     found = [candidate for candidate in candidates if candidate.found]
     if not found:
-        return sorted(candidates, key=lambda candidate: (-candidate.sureness, -candidate.belief_mean))[:1]
+        return sorted(candidates, key=lambda candidate: (-candidate.confidence, -candidate.belief_mean))[:1]
     if found[0].kind == BLANK:
         found = found[:1]
     return [replace(candidate, instance=number) for number, candidate in enumerate(found, start=1)]
 
 
-def _model(found: FingerprintSet) -> LearnedModel:
+def _model(found: FingerprintSet) -> TrainedModel:
     try:
-        return LearnedModel(found.config, found.weights)
+        return TrainedModel(found.config, found.weights)
     except RuntimeError as error:
         raise CorruptFileError(
             f"the model of session {found.session}'s fingerprints does not fit the session's camera and model settings "

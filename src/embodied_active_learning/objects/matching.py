@@ -11,7 +11,7 @@ import numpy as np
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import move
-from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import Fingerprint
 
 PIXELS = 30
@@ -32,7 +32,7 @@ class Matcher:
     """Compares images with all fingerprints of one model; an image is encoded once for all of them."""
 
     def __init__(
-        self, model: LearnedModel, fingerprints: Sequence[Fingerprint], settings: IdentificationConfig
+        self, model: TrainedModel, fingerprints: Sequence[Fingerprint], settings: IdentificationConfig
     ) -> None:
         """The threshold is the smallest distance between views of different fingerprints (paper, appendix).
 

@@ -46,7 +46,7 @@ def decision_table(
     kinds: what each (session, fingerprint) is really of; objects: what is really there. Both only for the reader, and
     left out where they are not known.
     """
-    rows = [("fingerprint", "of", "found", "x [m]", "y [m]", "sureness", "really there", "error [cm]", "why")]
+    rows = [("fingerprint", "of", "found", "x [m]", "y [m]", "confidence", "really there", "error [cm]", "why")]
     for decision in decisions:
         of = (kinds or {}).get((decision.session, decision.fingerprint), "") or "?"
         there, error = _truth(decision, objects)
@@ -57,7 +57,7 @@ def decision_table(
                 of,
                 f"yes, no. {decision.instance}" if decision.found else "no",
                 *place,
-                f"{decision.sureness:.2f}",
+                f"{decision.confidence:.2f}",
                 there,
                 error,
                 decision.reason,

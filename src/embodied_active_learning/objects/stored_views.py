@@ -7,8 +7,8 @@ from typing import List
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.exploration.streams import Stream, generator
 from embodied_active_learning.objects.collection import is_new, log_density
+from embodied_active_learning.rng import Stream, generator
 
 
 class StoredViews:

@@ -16,7 +16,7 @@ import numpy as np
 
 from embodied_active_learning.config import CameraConfig, Config, IdentificationConfig
 from embodied_active_learning.geometry import metres_per_pixel, move, pixels_of, pose_distance
-from embodied_active_learning.model.learned import LearnedModel
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 
 _NEAR = (0.015, 0.4)
@@ -28,19 +28,19 @@ class Comparison:
     """How V views of a candidate compare with the fingerprint."""
 
     views: np.ndarray  # (V,) indices of the images
-    mismatch: np.ndarray  # (V,) grey levels of 1: how much worse they are explained than the fingerprint's own views
+    residual: np.ndarray  # (V,) grey levels of 1: how much worse they are explained than the fingerprint's own views
 
     @property
     def typical(self) -> float:
-        """Median mismatch; infinite without views."""
-        return float(np.median(self.mismatch)) if len(self.mismatch) else float("inf")
+        """Median residual; infinite without views."""
+        return float(np.median(self.residual)) if len(self.residual) else float("inf")
 
 
 class Verifier:
     """Compares views of candidates with one fingerprint."""
 
     def __init__(
-        self, model: LearnedModel, fingerprint: Fingerprint, trained: Config, settings: IdentificationConfig
+        self, model: TrainedModel, fingerprint: Fingerprint, trained: Config, settings: IdentificationConfig
     ) -> None:
         """trained: the configuration that the model was trained with."""
         self._model = model

@@ -15,8 +15,8 @@ from visualization_msgs.msg import Marker
 
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.franka.mount import CameraMount, quaternion
+from embodied_active_learning.images import decode_raw
 from embodied_active_learning.msg import PlanarState
-from embodied_active_learning.pictures import decode_raw
 from embodied_active_learning.ros import names
 from embodied_active_learning.workspace import Workspace
 

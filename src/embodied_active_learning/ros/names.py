@@ -5,7 +5,7 @@ ARM_GO_TO = "arm/go_to"
 ARM_STOP = "arm/stop"
 ARM_RECOVER = "arm/recover"
 ARM_RESTORE = "arm/restore"
-ARM_KEEP = "arm/keep"
+ARM_HEARTBEAT = "arm/heartbeat"
 ARM_STATE = "arm/state"
 JOINT_STATES = "joint_states"
 

@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.reading import FileReader, open_plain
+from embodied_active_learning.files import FileReader, open_plain
 from embodied_active_learning.session.atomic import write_bytes
 
 VERSION = "1"

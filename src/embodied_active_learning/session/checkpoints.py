@@ -10,10 +10,10 @@ from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 import torch
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.reading import FileReader
+from embodied_active_learning.files import FileReader
 from embodied_active_learning.session.array_files import READER
 from embodied_active_learning.session.atomic import make_folder, remove_leftovers
-from embodied_active_learning.session.names import stays_inside
+from embodied_active_learning.session.paths import stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 _NAME = re.compile(r"^checkpoint_(\d{9})\.safetensors$")

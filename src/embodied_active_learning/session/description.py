@@ -9,8 +9,8 @@ from typing import Any, List, Tuple
 from embodied_active_learning import __version__
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
-from embodied_active_learning.reading import FileReader
-from embodied_active_learning.session.sealed_yaml import check_version, remove_seal, write_sealed
+from embodied_active_learning.files import FileReader
+from embodied_active_learning.session.checksummed_yaml import check_version, remove_seal, write_sealed
 
 FORMAT = "embodied_active_learning/session"
 VERSION = 2  # since it has a checksum

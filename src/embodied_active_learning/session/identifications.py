@@ -15,11 +15,11 @@ import numpy as np
 import torch
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.files import LARGEST_YAML, FileReader, plain_types
 from embodied_active_learning.objects.identification import Decision, Identification
-from embodied_active_learning.reading import LARGEST_YAML, FileReader, plain_types
 from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
-from embodied_active_learning.session.names import SessionPaths, check_name, stays_inside
-from embodied_active_learning.session.sealed_yaml import check_version, remove_seal, sealed_text
+from embodied_active_learning.session.checksummed_yaml import check_version, remove_seal, sealed_text
+from embodied_active_learning.session.paths import SessionPaths, check_name, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/decisions"
@@ -129,7 +129,7 @@ def _trace(identification: Identification) -> Dict[str, torch.Tensor]:
 
 
 def _plain(decision: Decision) -> Dict[str, Any]:
-    """A decision as numbers and texts: the pose as x, y [m] and theta [rad]; no mismatch where no view was compared."""
+    """A decision as numbers and texts: the pose as x, y [m] and theta [rad]; no residual where no view was compared."""
     row = {field.name: getattr(decision, field.name) for field in dataclasses.fields(decision)}
     pose = row.pop("pose")
     row.update({name: round(float(value), 5) for name, value in zip(_POSE, pose)})
@@ -144,7 +144,7 @@ def _decision(path: Path, index: int, row: Any) -> Decision:
     _READER.expect_types(f"{path}: decision {index}", row, _DECISION_TYPES)
     values = dict(row)
     pose = [float(values.pop(name)) for name in _POSE]
-    values["mismatch"] = math.inf if values["mismatch"] is None else float(values["mismatch"])
+    values["residual"] = math.inf if values["residual"] is None else float(values["residual"])
     return Decision(pose=np.array(pose), **values)
 
 
@@ -152,7 +152,7 @@ def _decision_types() -> Dict[str, Tuple[type, ...]]:
     """The plain types of a decision's fields, as _plain writes them."""
     types = plain_types(Decision)
     del types["pose"]
-    types.update(dict.fromkeys(_POSE, (float, int)), mismatch=(float, int, type(None)))
+    types.update(dict.fromkeys(_POSE, (float, int)), residual=(float, int, type(None)))
     return types
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, Iterator, Optional
 
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.reading import open_plain
+from embodied_active_learning.files import open_plain
 
 _TRIES = 3
 _PAUSE = 0.1  # s between two tries

@@ -10,7 +10,7 @@ from typing import Iterator
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.reading import open_plain
+from embodied_active_learning.files import open_plain
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import sync_folder
 from embodied_active_learning.session.records import RecordLayout

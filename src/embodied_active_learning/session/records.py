@@ -12,7 +12,7 @@ from typing import Any, Optional, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.reading import FileReader, shown
+from embodied_active_learning.files import FileReader, shown
 from embodied_active_learning.session.atomic import write_text
 from embodied_active_learning.workspace import STATE_NAMES
 

@@ -19,7 +19,8 @@ from embodied_active_learning.session.description import (
     write_description,
 )
 from embodied_active_learning.session.disk import bytes_below, check_space
-from embodied_active_learning.session.names import (
+from embodied_active_learning.session.observations import ObservationStore
+from embodied_active_learning.session.paths import (
     CONFIG_FILE,
     LOCK_FILE,
     SUMMARY_FILE,
@@ -27,7 +28,6 @@ from embodied_active_learning.session.names import (
     check_name,
     stays_inside,
 )
-from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.tables import COLUMNS, Table, read_table
 
 _LARGEST_HINT = 4096

@@ -11,8 +11,8 @@ from typing import Any, Dict, Optional
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.reading import FileReader, plain_types
-from embodied_active_learning.session.sealed_yaml import remove_seal, write_sealed
+from embodied_active_learning.files import FileReader, plain_types
+from embodied_active_learning.session.checksummed_yaml import remove_seal, write_sealed
 from embodied_active_learning.session.session import Session
 
 _READER = FileReader(CorruptFileError, "the run did not finish, or its summary was damaged since; resume the run")

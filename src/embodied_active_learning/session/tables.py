@@ -14,7 +14,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.reading import FileReader, open_plain, shown
+from embodied_active_learning.files import FileReader, open_plain, shown
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import write_bytes
 

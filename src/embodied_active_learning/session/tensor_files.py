@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.reading import FileReader
+from embodied_active_learning.files import FileReader
 from embodied_active_learning.session.array_files import READER, read_arrays, write_arrays
 
 Tensors = Dict[str, torch.Tensor]

@@ -10,8 +10,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.files import FileReader, shown
 from embodied_active_learning.geometry import fixed_axes_rotation
-from embodied_active_learning.reading import FileReader, shown
 from embodied_active_learning.simulation.resources import locate
 
 _URDF_READER = FileReader(WorldError, "give the URDF of an object", limit=2**20, follow=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Iterable, Iterator, Optional, Tuple
 
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.reading import FileReader, shown
+from embodied_active_learning.files import FileReader, shown
 
 _LONGEST_KEY = 80  # characters of an unknown key that are looked at and told
 _READER = FileReader(WorldError, "give a world as those in worlds/ are", follow=True)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.reading import FileReader
+from embodied_active_learning.files import FileReader
 from embodied_active_learning.simulation.world import Table
 
 _READER = FileReader(WorldError, "give a PNG or JPEG file", limit=2**28, follow=True)

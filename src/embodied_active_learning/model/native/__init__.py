@@ -1,0 +1,1 @@
+"""C kernels for the convolutions of the model on CPUs."""

@@ -1,0 +1,1 @@
+"""The four runs: exploration, training, fingerprinting and identification, without ROS."""

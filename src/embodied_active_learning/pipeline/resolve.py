@@ -1,0 +1,145 @@
+"""From a profile and overrides to the configuration of one run, checked against world and session."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Dict, Mapping, Optional, Sequence
+
+from embodied_active_learning.config import (
+    REAL,
+    RECORDED,
+    SIMULATED,
+    Config,
+    find_profile,
+    load_profile,
+    merge,
+    settings,
+)
+from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.files import parse_yaml, shown
+from embodied_active_learning.session.paths import LONGEST_NAME, check_name
+from embodied_active_learning.session.session import Session, check_session, session_path, session_root
+from embodied_active_learning.simulation.resources import PACKAGE, package_folder
+from embodied_active_learning.simulation.world import find_world, load_world
+
+BRINGUPS = ("all", "nodes", "none")
+"""What of the arm a launch file starts: everything, all but a real arm's drivers, or nothing."""
+
+
+def resolve(
+    profile: str,
+    overrides: Sequence[str],
+    robot_profile: str = "",
+    recorded: Optional[Mapping[str, Any]] = None,
+    needs_arm: bool = True,
+) -> Config:
+    """The configuration of one run: a profile (name in config/, or path) with SECTION/KEY=VALUE overrides.
+
+    No profile is the paper's, or for a session that is resumed the configuration that it was made with. A real robot
+    has a profile of its own, by name or path, whose limits win over those of the run's profile; none is its name in
+    config/. An override without a value changes nothing. recorded: sections of keys that recorded images were made
+    with; a new session of them begins with these. needs_arm: False where a session is resumed for what is stored in it
+    alone: it may come from another computer, and its world be absent here. The world's path and the session's name are
+    filled in.
+    Raises ConfigError, WorldError or SessionError, for whatever would keep the run from starting.
+    """
+    config = combine(profile, overrides, robot_profile, recorded)
+    if config.arm.robot == SIMULATED:
+        if robot_profile:
+            raise ConfigError(
+                f"the robot profile {shown(robot_profile)} is for a real robot: set arm/robot, or leave it out"
+            )
+        if needs_arm or not config.session.resume:
+            config = _with_world(config)
+    elif "world" in _changes(overrides).get("simulation", {}):
+        raise ConfigError(
+            f"simulation/world is given, but arm/robot is {config.arm.robot}: only a simulated table can be chosen"
+        )
+    name = config.session.name or _session_name(config)
+    root = os.path.realpath(session_root(config))
+    config = replace(config, session=replace(config.session, name=name, root=root))
+    check_session(config)
+    return config
+
+
+def combine(
+    profile: str, overrides: Sequence[str], robot_profile: str = "", recorded: Optional[Mapping[str, Any]] = None
+) -> Config:
+    """What resolve begins with: the settings, without a look at session and world. Raises ConfigError."""
+    changes = _changes(overrides)
+    return Config.from_dict(merge(_base(profile, robot_profile, changes, dict(recorded or {})), changes))
+
+
+def _changes(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
+    changes: Dict[str, Dict[str, Any]] = {}
+    for override in overrides:
+        changes = merge(changes, _parse_override(override))
+    return changes
+
+
+def check_bringup(config: Config, bringup: str, robot_ip: str) -> None:
+    """Check what launch files are told about starting the arm. Raises ConfigError."""
+    if bringup not in BRINGUPS:
+        raise ConfigError(f"bringup is {shown(bringup)}: legal are {', '.join(BRINGUPS)}")
+    if config.arm.robot == RECORDED and bringup != "none":
+        raise ConfigError("arm/robot is recording: nothing is to be started for it")
+    if config.arm.robot == REAL and bringup == "all" and not robot_ip:
+        raise ConfigError(
+            "robot_ip is missing: give the address of the Panda's controller, robot_ip:=172.16.0.2 say, or "
+            "bringup:=nodes where franka_ros and the camera's driver run already"
+        )
+
+
+def _with_world(config: Config) -> Config:
+    """The configuration with the path of its world, which is checked."""
+    world = os.path.realpath(find_world(config.simulation.world))
+    load_world(world, config.workspace.box())
+    return replace(config, simulation=replace(config.simulation, world=world))
+
+
+def _base(
+    profile: str, robot_profile: str, changes: Dict[str, Dict[str, Any]], stored: Dict[str, Any]
+) -> Dict[str, Any]:
+    """What the overrides apply to. stored: settings of before, unless there is a session to be resumed."""
+    folder = package_folder(PACKAGE) / "config"
+    given = Config.from_dict({section: changes.get(section, {}) for section in ("session", "arm")})
+    if given.session.resume:
+        path = session_path(given)
+        if path.is_dir():
+            stored = Session.open_read_only(path).config.to_dict()
+    base = stored if stored and not profile else merge(stored, load_profile(find_profile(profile or "paper", folder)))
+    if not robot_profile and not stored and given.arm.robot == REAL:
+        robot_profile = REAL
+    return merge(base, load_profile(find_profile(robot_profile, folder))) if robot_profile else base
+
+
+def _session_name(config: Config) -> str:
+    """A legal name, however the world is called, and however long explorer and seed are."""
+    simulated = config.arm.robot == SIMULATED
+    world = Path(config.simulation.world).stem if simulated else config.arm.robot
+    exploration = config.exploration
+    rest = f"-{exploration.explorer}-seed{exploration.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
+    stem = re.sub("[^a-z0-9]+", "-", world.lower()).strip("-")[: min(20, LONGEST_NAME - len(rest))] or "world"
+    return check_name(f"{stem}{rest}")
+
+
+def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
+    path, equals, value = text.partition("=")
+    section, slash, key = path.partition("/")
+    if not (equals and slash and section and key):
+        raise ConfigError(f"override {shown(text)} is not of the form section/key=value")
+    if not value:
+        return {}
+    try:
+        return {section: {key: value if _is_text(section, key) else parse_yaml(value)}}
+    except ValueError as error:
+        raise ConfigError(f"override {shown(text)} has a value that is not plain YAML ({error})") from error
+
+
+def _is_text(section: str, key: str) -> bool:
+    """Whether the setting is a text, which must not be read as YAML: a session may be called 1e3."""
+    return any(isinstance(item.default, str) for name, item in settings() if (name, item.name) == (section, key))

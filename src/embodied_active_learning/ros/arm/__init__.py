@@ -1,0 +1,1 @@
+"""Arm nodes and their clients."""

@@ -1,0 +1,1 @@
+"""Camera images paired with the arm state at their stamps."""

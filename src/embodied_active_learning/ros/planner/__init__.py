@@ -1,0 +1,1 @@
+"""The planner node: trainer client, publishers, pause and resume."""

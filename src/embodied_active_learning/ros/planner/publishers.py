@@ -1,0 +1,76 @@
+"""What the planner tells the world about each step: messages, pictures for rviz, and a row of exploration.csv."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Dict
+
+import rospy
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.msg import PlanarState, TargetDistribution
+from embodied_active_learning.pipeline.exploration import Assessment, ExplorationRun
+from embodied_active_learning.ros import names
+from embodied_active_learning.ros.rviz.exploration import RvizExploration
+from embodied_active_learning.session.paths import SessionPaths
+from embodied_active_learning.session.tables import COLUMNS, Table, read_table
+
+TABLE = "exploration"
+
+
+class ExplorationPublisher:
+    """Publishes and records the steps of one run."""
+
+    def __init__(self, config: Config, session: Path, steps_done: int) -> None:
+        """Go on behind the row of step steps_done in the session's table."""
+        self._publisher = rospy.Publisher(names.TARGET_DISTRIBUTION, TargetDistribution, queue_size=10, latch=True)
+        self._displays = RvizExploration(config)
+        self._steps = config.exploration.steps
+        self._table = Table(SessionPaths(session).table(TABLE), COLUMNS[TABLE])
+        self._table.truncate_after("step", steps_done)
+        rows = read_table(self._table.path, self._table.columns)
+        self.last_step = int(rows["step"][-1]) if len(rows["step"]) else 0
+        """The newest step that has a row."""
+        self.effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
+
+    def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment) -> None:
+        """Tell of the step that ended in a state; it gets a row unless it has one from before a resume."""
+        if assessment.step > self.last_step:
+            self._table.append(_row(state, assessment))
+            self.last_step = assessment.step
+        self._publisher.publish(_message(state, run, assessment))
+        self._displays.show(state.header.stamp, run, assessment, last=assessment.step == self._steps)
+
+    def close(self) -> None:
+        """Close the table."""
+        self._table.close()
+
+
+def _row(state: PlanarState, assessment: Assessment) -> Dict[str, float]:
+    return {
+        "step": assessment.step,
+        "time": state.header.stamp.to_sec(),
+        "x": state.x,
+        "y": state.y,
+        "theta": state.theta,
+        "ergodic_measure": assessment.ergodic_measure,
+        "coverage": assessment.coverage,
+        "distance": assessment.distance,
+        "turning": assessment.turning,
+        "effort": assessment.effort,
+    }
+
+
+def _message(state: PlanarState, run: ExplorationRun, assessment: Assessment) -> TargetDistribution:
+    return TargetDistribution(
+        header=state.header,
+        step=assessment.step,
+        states=run.sample_states.ravel().tolist(),
+        target=assessment.target.tolist(),
+        time_average=assessment.time_average.tolist(),
+        coverage=assessment.coverage,
+        ergodic_measure=assessment.ergodic_measure,
+        distance=assessment.distance,
+        turning=assessment.turning,
+        effort=assessment.effort,
+    )

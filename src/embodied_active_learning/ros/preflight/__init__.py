@@ -1,0 +1,1 @@
+"""Checks of computer, robot, camera and ROS graph before a run."""

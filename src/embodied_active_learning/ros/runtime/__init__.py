@@ -1,0 +1,1 @@
+"""What every node needs: start and shutdown, diagnostics, services, timers and logging."""

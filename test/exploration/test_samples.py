@@ -1,0 +1,123 @@
+"""Workspace samples: recursive sums equal to direct ones, refreshing, coverage k, resuming."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ObservationError
+from embodied_active_learning.exploration.coverage import workspace_coverage
+from embodied_active_learning.exploration.kernel import CoverageKernel
+from embodied_active_learning.exploration.samples import WorkspaceSamples
+from embodied_active_learning.rng import Stream
+
+
+def configuration(normalise=True, **exploration):
+    config = Config()
+    values = {"samples": 200, "fresh_samples": 20, **exploration}
+    return dataclasses.replace(
+        config,
+        exploration=dataclasses.replace(config.exploration, **values),
+        planner=dataclasses.replace(config.planner, normalise_kernels=normalise),
+    )
+
+
+def states(count, seed=0):
+    return np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+
+
+def test_coverage_by_hand():
+    samples = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    visited = np.array([[0.0, 0.0, 0.0], [0.0, 0.9, 0.0]])
+    assert workspace_coverage(samples, visited, 0.05) == pytest.approx((1 + np.exp(-0.25 / 0.1)) / 2, rel=1e-5)
+
+
+def test_nothing_is_covered_before_the_first_state():
+    assert workspace_coverage(states(10), np.empty((0, 3)), 0.05) == 0.0
+    assert WorkspaceSamples(configuration()).coverage == 0.0
+
+
+def test_the_authors_coverage_counts_samples_outside_the_workspace_as_seen():
+    samples, visited = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [1.1, 0.0, 0.0]]), np.array([[0.1, 0.0, 0.0]])
+    near, far = np.exp(-0.01 / 0.1), np.exp(-0.25 / 0.1)
+    assert workspace_coverage(samples, visited, 0.05, authors=True) == pytest.approx((1 + far / near + 1) / 3, rel=1e-5)
+
+
+def test_the_authors_coverage_of_an_unvisited_workspace_is_finite():
+    assert workspace_coverage(states(10), np.empty((0, 3)), 0.05, authors=True) == 0.0
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 600), st.integers(0, 30), st.booleans(), st.sampled_from([0, 7, 20, 200]))
+def test_recursive_sums_equal_direct_ones(before, steps, normalise, fresh):
+    config = configuration(normalise, fresh_samples=fresh)
+    samples = WorkspaceSamples(config, states(before))
+    for state in states(steps, seed=1):
+        samples.refresh()
+        samples.visit(state)
+    kernel = CoverageKernel.from_config(config)
+    direct = kernel(samples.states, samples.visited).sum(axis=0, dtype=np.float64)
+    np.testing.assert_allclose(samples.visitation, direct, rtol=1e-4, atol=1e-12)
+    assert samples.coverage == pytest.approx(
+        workspace_coverage(samples.states, samples.visited, kernel.variance), abs=1e-5
+    )
+
+
+def test_all_samples_are_new_after_samples_over_fresh_steps():
+    samples = WorkspaceSamples(configuration(fresh_samples=30))
+    first = samples.states
+    for _ in range(6):
+        samples.refresh()
+    assert np.any(np.all(samples.states == first, axis=1))
+    samples.refresh()
+    assert not np.any(samples.states == first)
+
+
+@pytest.mark.parametrize("box", [1.0, 1.15])
+def test_samples_fill_the_box_and_no_more(box):
+    drawn = WorkspaceSamples(configuration(samples=5000, sample_box=box)).states
+    assert np.all(np.abs(drawn) <= box)
+    assert np.all(np.abs(drawn).max(axis=0) > 0.99 * box)
+
+
+def test_resuming_with_the_visited_states_goes_on_where_the_run_stopped():
+    config = configuration(fresh_samples=0)
+    run = WorkspaceSamples(config)
+    for state in states(1500):
+        run.visit(state)
+    resumed = WorkspaceSamples(config, run.visited)
+    np.testing.assert_array_equal(resumed.visited, states(1500))
+    np.testing.assert_allclose(resumed.visitation, run.visitation, rtol=1e-5)
+
+
+def test_planned_states_count_as_if_they_had_been_visited():
+    samples, planned = WorkspaceSamples(configuration(), states(50)), states(10, seed=1)
+    expected = samples.visitation_with(planned)
+    for state in planned:
+        samples.visit(state)
+    np.testing.assert_allclose(samples.visitation, expected, rtol=1e-5)
+
+
+def test_one_seed_gives_one_set_of_samples_and_streams_differ():
+    drawn = [WorkspaceSamples(configuration(seed=3)).states for _ in range(2)]
+    np.testing.assert_array_equal(*drawn)
+    assert not np.any(WorkspaceSamples(configuration(seed=4)).states == drawn[0])
+    assert not np.any(WorkspaceSamples(configuration(seed=3), stream=Stream.EVALUATION).states == drawn[0])
+
+
+@pytest.mark.parametrize("state", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0], [[0, 0, 0]]])
+def test_a_state_that_is_not_three_finite_numbers_is_refused_and_changes_nothing(state):
+    samples = WorkspaceSamples(configuration(), states(5))
+    before = samples.visitation
+    with pytest.raises(ObservationError, match="3 finite numbers"):
+        samples.visit(np.array(state))
+    np.testing.assert_array_equal(samples.visitation, before)
+    assert len(samples.visited) == 5
+
+
+def test_the_configured_variance_replaces_the_rule():
+    assert WorkspaceSamples(configuration(kernel_variance=0.1)).kernel.variance == 0.1
+    assert WorkspaceSamples(configuration(samples=1000)).kernel.variance == pytest.approx(0.057588, abs=1e-6)

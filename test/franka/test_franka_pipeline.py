@@ -1,0 +1,76 @@
+"""Learning on a real Panda: learn.launch robot:=franka, against a stand-in for franka_ros, in real time."""
+
+import time
+from itertools import combinations
+
+import numpy as np
+
+from embodied_active_learning.ros.bags.recording import Recording
+from embodied_active_learning.session.session import Session
+from launching import ROOT, environment, launched, started
+from real_time import call, stand_in, truth, with_franka_messages
+
+STEPS = 30
+PROFILE = ROOT / "test" / "rostest" / "real_time.yaml"
+
+
+def wait_for(condition, log, timeout=90):
+    ends_at = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < ends_at, log.read_text()
+        time.sleep(0.1)
+
+
+def test_a_run_on_the_stand_in_ends_with_all_its_observations_although_the_camera_froze_meanwhile(tmp_path):
+    variables = with_franka_messages(environment(tmp_path))
+    arguments = {
+        "robot": "franka",
+        "bringup": "nodes",
+        "profile": PROFILE,
+        "steps": STEPS,
+        "session": "run",
+        "session_root": tmp_path,
+        "record": "true",
+    }
+    log, path = tmp_path / "launch.log", tmp_path / "run"
+    words = [f"{name}:={value}" for name, value in arguments.items()]
+    port = variables["ROS_MASTER_URI"].rsplit(":", 1)[1]
+    fake = stand_in(tmp_path, variables, f"profile:={PROFILE}", "encoding:=yuv422_yuy2")
+    learning = launched(tmp_path, "--wait", "learn.launch", *words, variables=variables)
+    with started(["roscore", "-p", port], tmp_path / "core.log", variables), fake, learning as process:
+        wait_for(lambda: _stored(path) >= 10, log)
+        call(variables, "/fake_franka/freeze_camera", "{data: true}")
+        wait_for(lambda: "the arm stands still" in log.read_text(), log)
+        call(variables, "/fake_franka/freeze_camera", "{data: false}")
+        process.wait(180)
+        told = truth(variables)
+    said = log.read_text()
+    assert "finished" in said, said
+    assert "did not end by itself" not in said
+    assert "Traceback" not in said
+    session = Session.open_read_only(path)
+    assert session.config.arm.robot == "franka"
+    limits = session.config.arm
+    assert told["reflexes"] == 0
+    assert told["max_outside"] < 0.003, "m; an impedance controller overshoots by a little"
+    assert told["max_speed"] < 1.2 * np.hypot(limits.max_speed, limits.max_speed), "along x and y at once"
+    assert session.read_table("exploration")["step"].tolist() == list(range(1, STEPS + 1))
+    with session.open_observations() as store:
+        seen = store.snapshot()
+    assert len(seen.images) == STEPS
+    recorded = list(Recording(path / "bags").observations(session.config))
+    assert [item.image.data for item in recorded] == [image.tobytes() for image in seen.images]
+    assert not list(_repeated(seen.images, seen.raw_states)), "something was stored of a frozen camera"
+
+
+def _repeated(images, states):
+    """Pairs of observations with the same image, taken from different places."""
+    for (one, image), (other, again) in combinations(enumerate(images), 2):
+        moved = np.abs(states[one] - states[other])
+        if np.array_equal(image, again) and (moved > [2e-3, 2e-3, 2e-2]).any():
+            yield one, other
+
+
+def _stored(path):
+    table = path / "exploration.csv"
+    return len(table.read_text().splitlines()) - 1 if table.exists() else 0

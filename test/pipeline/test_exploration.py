@@ -1,0 +1,160 @@
+"""The exploring half of Algorithm 1: what it counts, when it aims, and that it goes on where it stopped."""
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
+from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
+from embodied_active_learning.pipeline.exploration import ExplorationRun
+
+
+def configured(explorer="ergodic", **exploration):
+    return Config.from_dict({"exploration": {"explorer": explorer, "samples": 200, "fresh_samples": 20, **exploration}})
+
+
+def drive(run, config, steps, log_std=None):
+    """Let an arm that does exactly as told follow the run's commands -> the assessments."""
+    state = np.array(config.simulation.start)
+    velocity = np.zeros(3)
+    assessments = []
+    for _ in range(steps):
+        run.observe(state, velocity)
+        assessments.append(run.assess(None if log_std is None else log_std(run.sample_states)))
+        command = run.next_command()
+        if isinstance(command, VelocityCommand):
+            velocity = command.velocity
+            state = state + command.duration * velocity
+        else:
+            state, velocity = np.array([command.x, command.y, command.theta]), np.zeros(3)
+        assert config.workspace.box().contains(state, tolerance=1e-9)
+    return assessments
+
+
+@pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic"])
+def test_every_explorer_covers_more_of_the_workspace_as_it_goes(explorer):
+    config = configured(explorer)
+    assessments = drive(ExplorationRun(config), config, 60)
+    assert assessments[-1].step == 60
+    assert assessments[-1].coverage > assessments[0].coverage
+    assert assessments[-1].ergodic_measure < assessments[0].ergodic_measure
+    assert assessments[-1].distance > 0.1
+    assert assessments[-1].turning > 0.1
+
+
+def test_distance_and_turning_add_up_what_the_states_tell():
+    config = configured()
+    run = ExplorationRun(config)
+    for state in ([0.4, 0.0, 0.0], [0.43, 0.04, -0.5], [0.43, 0.04, 0.5]):
+        run.observe(np.array(state), np.zeros(3))
+    assessment = run.assess(None)
+    assert assessment.distance == pytest.approx(0.05)
+    assert assessment.turning == pytest.approx(1.5)
+
+
+def test_effort_is_the_integral_of_the_squared_normalised_acceleration():
+    config = configured()
+    run = ExplorationRun(config)
+    run.observe(np.array(config.simulation.start), np.zeros(3))
+    run.assess(None)
+    velocity = run.next_command().velocity
+    run.observe(np.array(config.simulation.start) + 0.2 * velocity, velocity)
+    expected = np.sum((velocity / np.array([0.15, 0.15, 2.0]) / 0.2) ** 2) * 0.2
+    assert run.assess(None).effort == pytest.approx(expected)
+
+
+def test_poses_without_a_velocity_have_no_effort_to_report():
+    config = configured("uniform")
+    run = ExplorationRun(config)
+    assert np.isnan(drive(run, config, 3)[-1].effort)
+    assert isinstance(run.next_command(), PoseCommand)
+
+
+def test_the_target_is_flat_until_something_was_learned_and_peaks_where_the_model_is_uncertain():
+    config = configured()
+    run = ExplorationRun(config)
+    run.observe(np.array(config.simulation.start), np.zeros(3))
+    assert np.ptp(run.assess(None).target) == 0.0
+    corner = np.array([0.6, 0.12])
+    distance = np.linalg.norm(run.sample_states[:, :2] - corner, axis=1)
+    target = run.assess(-10.0 * distance).target
+    assert np.argmax(target) == np.argmin(distance)
+    assert target.sum() == pytest.approx(1.0)
+
+
+def test_a_model_that_has_diverged_is_refused():
+    config = configured()
+    run = ExplorationRun(config)
+    run.observe(np.array(config.simulation.start), np.zeros(3))
+    with pytest.raises(EmbodiedActiveLearningError, match="diverged"):
+        run.assess(np.full(200, np.nan))
+
+
+def test_a_run_that_goes_on_has_the_same_coverage_distance_and_measure_as_one_that_never_stopped():
+    config = configured("random_walk")
+    whole = ExplorationRun(config)
+    last = drive(whole, config, 30)[-1]
+    resumed = ExplorationRun(config, whole.travelled_states[:-1], effort=last.effort)
+    resumed.observe(whole.travelled_states[-1], np.zeros(3))
+    again = resumed.assess(None)
+    assert again.step == last.step
+    assert again.distance == pytest.approx(last.distance)
+    assert again.turning == pytest.approx(last.turning)
+    assert again.effort == pytest.approx(last.effort)
+    assert again.coverage == pytest.approx(last.coverage, rel=0.1)  # other samples, the same trajectory
+    assert again.ergodic_measure == pytest.approx(last.ergodic_measure, rel=0.2)
+
+
+@pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic"])
+def test_a_run_that_recalls_its_memory_goes_on_bit_for_bit(explorer):
+    config = configured(explorer)
+    whole = ExplorationRun(config)
+    state, velocity, command = np.array(config.simulation.start), np.zeros(3), None
+    resumed = None
+    for step in range(40):
+        if step == 25:
+            resumed = ExplorationRun(config, whole.travelled_states)
+            resumed.recall(whole.memory())
+        runs = [whole] if resumed is None else [whole, resumed]
+        for run in runs:
+            run.observe(state, velocity)
+        assessments = [run.assess(np.sin(5.0 * run.sample_states).sum(axis=1)) for run in runs]
+        commands = [run.next_command() for run in runs]
+        assert len(set(commands)) == 1
+        assert len({(a.coverage, a.ergodic_measure, a.distance, a.turning, str(a.effort)) for a in assessments}) == 1
+        np.testing.assert_array_equal(runs[0].sample_states, runs[-1].sample_states)
+        command = commands[0]
+        if isinstance(command, VelocityCommand):
+            state, velocity = state + command.duration * command.velocity, command.velocity
+        else:
+            state, velocity = np.array([command.x, command.y, command.theta]), np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda memory: memory.pop("samples/states"), "lacks states"),
+        (lambda memory: memory.update({"explorer/controls": np.zeros((3, 3))}), "holds controls as"),
+        (lambda memory: memory.update({"sums": np.zeros(3, np.float32)}), "holds sums as float32"),
+        (lambda memory: memory.update(step=np.array([4])), "is of step 4, the trajectory of step 5"),
+    ],
+)
+def test_a_memory_that_does_not_fit_is_refused_by_name(change, words):
+    config = configured()
+    run = ExplorationRun(config)
+    drive(run, config, 5)
+    memory = run.memory()
+    change(memory)
+    with pytest.raises(CorruptFileError, match=words):
+        ExplorationRun(config, run.travelled_states).recall(memory)
+
+
+def test_after_an_interruption_the_plan_starts_from_rest():
+    config = configured()
+    run = ExplorationRun(config)
+    drive(run, config, 20)
+    run.interrupt()
+    run.observe(np.array(config.simulation.start), np.zeros(3))
+    run.assess(None)
+    first = np.abs(run.next_command().velocity)
+    assert np.all(first <= np.array([0.15 / 1.25, 0.15 / 1.25, 1.5 / 0.625]) * 0.2 + 1e-9)

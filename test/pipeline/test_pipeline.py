@@ -1,0 +1,128 @@
+"""The whole pipeline through learn.launch: it ends by itself, and is honest when something is wrong."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+
+import pytest
+import rosbag
+
+from embodied_active_learning.ros.bags.recording import Recording
+from embodied_active_learning.session.session import Session
+from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
+
+SHORT = ROOT / "test" / "rostest" / "short.yaml"
+
+
+def arguments(root, session="run", **overrides):
+    values = {"profile": SHORT, "session_root": root, "session": session, "max_lag": 0, "seed": 1, **overrides}
+    return ["learn.launch", *(f"{name}:={value}" for name, value in values.items())]
+
+
+def finished(path):
+    check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", path]
+    return subprocess.run(check, check=False, capture_output=True).returncode == 0
+
+
+def wait_for(condition, process, timeout=120):
+    ends_at = time.monotonic() + timeout
+    while not condition():
+        assert process.poll() is None, "the launch ended"
+        assert time.monotonic() < ends_at, "it did not happen in time"
+        time.sleep(0.1)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A short run, for the tests that only look at what it left behind."""
+    home = tmp_path_factory.mktemp("first")
+    output = launch_to_the_end(home, *arguments(home, record="true"))
+    return home / "run", output
+
+
+def test_a_run_ends_by_itself_with_figures_and_a_summary(first):
+    path, output = first
+    assert finished(path), output
+    assert "active units" in output
+    assert str(path / "figures" / "learning_metrics.png") in output
+
+
+def recorded(path):
+    """The recording of a session, which must have been closed, and hold the observations that were stored."""
+    recording, session = Recording(path / "bags"), Session.open_read_only(path)
+    assert recording.unclosed == []
+    found = list(recording.observations(session.config))
+    with session.open_observations() as store:
+        assert [item.image.data for item in found] == [image.tobytes() for image in store.images]
+        assert [(item.state.x, item.state.y, item.state.theta) for item in found] == list(map(tuple, store.raw_states))
+        assert [item.header.stamp.to_sec() for item in found] == store.stamps.tolist()
+    return recording
+
+
+def test_what_was_recorded_of_a_run_is_what_it_has_learned_from(first):
+    path, _ = first
+    recording, config = recorded(path), Session.open_read_only(path).config
+    assert recording.settings()["training"] == config.to_dict()["training"]
+    with rosbag.Bag(str(next((path / "bags").glob("*.bag")))) as bag:
+        topics = set(bag.get_type_and_topic_info().topics)
+    assert topics >= {"/camera/image_raw", "/camera/camera_info", "/arm/state", "/joint_states", "/tf", "/tf_static"}
+    assert topics >= {"/target_distribution", "/training_status", "/diagnostics"}
+
+
+def test_a_finished_session_is_not_overwritten(first, tmp_path):
+    path, _ = first
+    before = {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")}
+    output = launch_to_the_end(tmp_path, *arguments(path.parent))
+    assert "nothing was started" in output
+    assert f"session {path} exists" in output
+    assert {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ({"world": "diagonale"}, "diagonal"),
+        ({"explorer": "ergodyc"}, "did you mean ergodic?"),
+        ({"steps": 0}, "exploration/steps is 0"),
+        ({"session": "../elsewhere"}, "session/name is '../elsewhere'"),
+        ({"session": "nothing-there", "resume": "true"}, "there is no session"),
+    ],
+)
+def test_what_cannot_work_is_refused_before_any_node_starts(overrides, expected, tmp_path):
+    output = launch_to_the_end(tmp_path, *arguments(tmp_path, **overrides), timeout=60)
+    assert "nothing was started" in output
+    assert expected in output
+    assert "process[" not in output
+
+
+def test_a_run_whose_trainer_was_killed_ends_and_has_not_finished(tmp_path):
+    path = tmp_path / "run"
+    with launched(tmp_path, *arguments(tmp_path, steps=80)) as process:
+        wait_for(lambda: (path / "training.csv").exists() and len((path / "training.csv").read_text()) > 1500, process)
+        os.kill(pid_of("trainer", process.pid), signal.SIGKILL)
+        process.wait(60)
+    assert not finished(path)
+    stored = len(Session.open_read_only(path).open_observations())
+    assert 8 < stored < 80
+
+
+def test_two_systems_run_in_namespaces_under_one_master(tmp_path):
+    variables = environment(tmp_path)
+    port = variables["ROS_MASTER_URI"].rsplit(":", 1)[1]
+    with started(["roscore", "-p", port], tmp_path / "core.log", variables):
+        homes = {name: tmp_path / name for name in ("left", "right")}
+        with ExitStack() as both:
+            processes = []
+            for name, home in homes.items():
+                home.mkdir()
+                inside = {**variables, "ROS_HOME": str(home), "ROS_NAMESPACE": name}
+                launch = launched(home, "--wait", *arguments(home, steps=20, record="true"), variables=inside)
+                processes.append(both.enter_context(launch))
+            for process in processes:
+                process.wait(180)
+    for home in homes.values():
+        assert finished(home / "run"), (home / "launch.log").read_text()
+        recorded(home / "run")

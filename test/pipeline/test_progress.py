@@ -1,0 +1,30 @@
+"""The progress line."""
+
+from embodied_active_learning.pipeline.progress import Progress, ProgressLine, duration
+
+
+def test_the_time_left_follows_from_the_pace_so_far():
+    now = [0.0]
+    line = ProgressLine(clock=lambda: now[0])
+    assert "left -" in line.describe(Progress(0, 100, 0, 300))
+    now[0] = 60.0
+    text = line.describe(Progress(50, 100, 150, 300, loss=-1.25, active_units=16, latent_size=16, ergodic_measure=0.5))
+    assert "step 50/100" in text
+    assert "updates 150/300" in text
+    assert "loss -1.250" in text
+    assert "active units 16/16" in text
+    assert "ergodic measure 0.500" in text
+    assert "left 1:00" in text
+
+
+def test_a_run_that_stands_still_promises_nothing():
+    now = [0.0]
+    line = ProgressLine(clock=lambda: now[0])
+    line.describe(Progress(5, 100, 0, 300))
+    now[0] = 60.0
+    assert "left -" in line.describe(Progress(5, 100, 0, 300))
+
+
+def test_durations_read_like_a_clock():
+    assert duration(59.6) == "1:00"
+    assert duration(3725) == "62:05"

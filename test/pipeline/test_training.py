@@ -1,0 +1,132 @@
+"""The learning half of Algorithm 1: stores, learns in its thread, answers meanwhile, and goes on after a stop."""
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.errors import ObservationError, SessionError
+from embodied_active_learning.pipeline import training as training_module
+from embodied_active_learning.pipeline.training import TrainingRun
+from embodied_active_learning.session import checkpoints
+from embodied_active_learning.session.checkpoints import load_model
+from training_thread import STEPS, TIMEOUT, configured, hand_over, observation, training
+
+
+def test_updates_keep_their_ratio_to_observations(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (reports, _, errors):
+        hand_over(run, range(9))
+        run.log_std(np.zeros((1, 3)), 12, TIMEOUT)
+        run.save()  # by the training thread, once it has reported
+        assert run.updates == 2 * (9 + 1 - 4)
+        assert [report.update for report in reports] == list(range(1, 13))
+        assert not run.finished
+        assert not errors
+
+
+def test_a_finished_run_leaves_model_tables_and_checkpoint(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (_, finished, errors):
+        hand_over(run, range(STEPS))
+        assert finished.wait(TIMEOUT)
+        assert not errors
+        assert run.finished
+        assert run.updates == 2 * STEPS
+    weights, facts = load_model(tmp_path / "run" / "model.safetensors")
+    assert sum(tensor.numel() for tensor in weights.values()) > 100000
+    assert facts["updates"] == 2 * STEPS
+    assert len((tmp_path / "run" / "training.csv").read_text().splitlines()) == 2 * STEPS + 1
+    assert len((tmp_path / "run" / "evaluation.csv").read_text().splitlines()) == 4 + 1
+
+
+def test_entropy_before_learning_says_that_nothing_is_learned(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(2))
+        assert run.log_std(np.zeros((5, 3)), 0) == (None, 0, True)
+
+
+def test_entropy_from_a_model_that_is_not_there_yet_is_not_answered(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(5))
+        values, _, ready = run.log_std(np.zeros((5, 3)), 1000, timeout=0.1)
+        assert values is None
+        assert not ready
+
+
+def test_entropy_and_latents_come_from_the_newest_snapshot(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(8))
+        states = np.array([observation(index)[2] for index in range(6)])
+        log_std, updates, ready = run.log_std(states, 10, TIMEOUT)
+        assert ready
+        assert updates == 10
+        assert log_std.shape == (6,)
+        assert np.all(np.isfinite(log_std))
+        means, stds, updates = run.encode(states, [observation(index)[3] for index in range(6)])
+        assert means.shape == stds.shape == (6, 16)
+        assert np.all(stds > 0.0)
+
+
+def test_nothing_to_encode_is_an_error_and_not_an_empty_answer(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run), pytest.raises(ObservationError, match="0 images and 0 states"):
+        run.encode(np.empty((0, 3)), [])
+
+
+def test_an_observation_handed_over_twice_counts_once(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, [0, 1, 1, 0, 2])
+        assert run.observations == 3
+
+
+def test_a_stopped_run_goes_on_with_every_observation_and_update(tmp_path):
+    first = TrainingRun(configured(tmp_path))
+    with training(first):
+        hand_over(first, range(10))
+        first.log_std(np.zeros((1, 3)), 14, TIMEOUT)
+    again = TrainingRun(configured(tmp_path, resume=True))
+    assert again.observations == 10
+    assert again.updates == 14
+    np.testing.assert_array_equal(again.trajectory[3], observation(3)[2])
+    with training(again) as (_, finished, errors):
+        hand_over(again, range(10, STEPS))
+        assert finished.wait(TIMEOUT)
+        assert not errors
+    updates = [line.split(",")[0] for line in (tmp_path / "run" / "training.csv").read_text().splitlines()[1:]]
+    assert updates == [str(update) for update in range(1, 2 * STEPS + 1)]
+
+
+def test_a_checkpoint_can_be_asked_for_while_training(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run):
+        hand_over(run, range(6))
+        assert run.save(TIMEOUT).exists()
+
+
+def test_what_the_newest_checkpoint_holds_is_not_written_again(tmp_path, monkeypatch):
+    written = []
+
+    def save_checkpoint(folder, updates, *arguments):
+        written.append(updates)
+        return checkpoints.save_checkpoint(folder, updates, *arguments)
+
+    monkeypatch.setattr(training_module, "save_checkpoint", save_checkpoint)
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (_, finished, _):
+        hand_over(run, range(STEPS))
+        assert finished.wait(TIMEOUT)
+        path = run.save(TIMEOUT)
+        assert written == [2 * STEPS]
+        path.unlink()
+        assert run.save(TIMEOUT) == path
+        assert path.exists()
+    assert written == [2 * STEPS, 2 * STEPS]
+
+
+def test_a_session_in_use_is_not_opened_again(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run), pytest.raises(SessionError, match="in use"):
+        TrainingRun(configured(tmp_path, resume=True))

@@ -1,0 +1,123 @@
+"""Messages to arrays and back, without a master."""
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+import rospy
+from hypothesis import given
+from hypothesis import strategies as st
+from sensor_msgs import point_cloud2
+
+from embodied_active_learning.errors import ObservationError
+from embodied_active_learning.ros import conversions
+from embodied_active_learning.ros.camera.pose_buffer import interpolate
+from embodied_active_learning.workspace import Workspace
+
+STAMP = rospy.Time(12, 345)
+
+
+def picture(height=4, width=6):
+    return np.arange(height * width * 3, dtype=np.uint8).reshape(height, width, 3)
+
+
+def test_an_image_survives_the_way_through_a_message():
+    message = conversions.image_message(STAMP, picture())
+    np.testing.assert_array_equal(conversions.image_array(message, 4, 6), picture())
+    assert message.header.stamp == STAMP
+
+
+def test_blue_first_images_are_turned_around():
+    message = conversions.image_message(STAMP, picture())
+    message.encoding = "bgr8"
+    np.testing.assert_array_equal(conversions.image_array(message, 4, 6), picture()[..., ::-1])
+
+
+def test_rows_may_be_padded():
+    message = conversions.image_message(STAMP, picture())
+    message.data = b"".join(row.tobytes() + b"##" for row in picture())
+    message.step += 2
+    np.testing.assert_array_equal(conversions.image_array(message, 4, 6), picture())
+
+
+def test_each_joint_keeps_its_position_and_its_velocity():
+    message = conversions.joint_state_message(STAMP, {"elbow": 0.5, "wrist": -1.0}, {"wrist": 0.2, "elbow": 0.1})
+    assert message.header.stamp == STAMP
+    assert list(zip(message.name, message.position, message.velocity)) == [("elbow", 0.5, 0.1), ("wrist", -1.0, 0.2)]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"encoding": "mono8"}, "image encoding is 'mono8'"),
+        ({"width": 640, "height": 480}, "image is 640 x 480 pixels, the model takes 6 x 4"),
+        ({"data": b""}, "image has 0 bytes"),
+        ({"step": 7}, "rows of 7"),
+    ],
+)
+def test_an_image_that_does_not_fit_is_refused_with_what_was_found_and_expected(change, expected):
+    message = conversions.image_message(STAMP, picture())
+    for name, value in change.items():
+        setattr(message, name, value)
+    with pytest.raises(ObservationError) as refusal:
+        conversions.image_array(message, 4, 6)
+    assert expected in str(refusal.value)
+
+
+@given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
+def test_a_state_survives_the_way_through_a_message(values):
+    message = conversions.state_message(STAMP, values[:3], values[3:])
+    state, velocity = conversions.state_arrays(message)
+    assert state.tolist() == values[:3]
+    assert velocity.tolist() == values[3:]
+    assert message.header.frame_id == "panda_link0"
+
+
+@pytest.mark.parametrize("values", [[1.0], [0.0, 1.0, float("nan")], [0.0, 1.0, float("inf")]])
+def test_states_that_are_no_rows_of_numbers_are_refused(values):
+    with pytest.raises(ObservationError):
+        conversions.states_array(values)
+
+
+def test_a_cloud_holds_its_points_and_values():
+    points, values = np.random.default_rng(0).random((5, 3)), np.arange(5.0)
+    cloud = conversions.cloud_message(STAMP, points, values)
+    read = np.array(list(point_cloud2.read_points(cloud, ("x", "y", "z", "intensity"))))
+    np.testing.assert_allclose(read, np.column_stack([points, values]), rtol=1e-6)
+
+
+def test_a_path_holds_its_states_and_headings():
+    path = conversions.path_message(STAMP, np.array([[0.4, 0.1, np.pi / 2]]), 0.3)
+    pose = path.poses[0].pose
+    assert (pose.position.x, pose.position.y, pose.position.z) == (0.4, 0.1, 0.3)
+    assert pose.orientation.z == pytest.approx(np.sqrt(0.5))
+
+
+def test_a_grid_has_x_along_its_width_and_its_corner_half_a_cell_before_the_first_middle():
+    values = np.array([[0.0, 0.2], [0.5, 1.0], [0.004, 0.996]])
+    grid = conversions.occupancy_grid_message(STAMP, values, 0.35, -0.1, 0.1)
+    assert (grid.info.width, grid.info.height, grid.info.resolution) == (3, 2, 0.1)
+    assert grid.data == [0, 50, 0, 20, 100, 100]
+    corner = grid.info.origin.position
+    assert (corner.x, corner.y, corner.z) == pytest.approx((0.3, -0.15, 0.0))
+    assert grid.info.origin.orientation.w == 1.0
+    assert (grid.header.frame_id, grid.header.stamp) == ("panda_link0", STAMP)
+
+
+@given(st.floats(-1.0, 2.0))
+def test_a_grid_that_can_be_sent_holds_nothing_beyond_0_and_100(value):
+    grid = conversions.occupancy_grid_message(STAMP, np.full((1, 1), value), 0.0, 0.0, 0.1)
+    assert grid.data == [round(100.0 * min(max(value, 0.0), 1.0))]
+    grid.serialize(BytesIO())
+
+
+def test_the_workspace_is_drawn_as_twelve_edges():
+    assert len(conversions.workspace_marker(Workspace(), 0.3).points) == 24
+
+
+def test_the_state_between_two_states_is_interpolated_and_yaw_takes_the_short_way():
+    before = conversions.state_message(rospy.Time(1), [0.4, 0.0, 3.0], [0, 0, 0])
+    after = conversions.state_message(rospy.Time(2), [0.5, 0.1, -3.0], [1, 0, 0])
+    state, velocity = conversions.state_arrays(interpolate(before, after, rospy.Time(1, 500000000)))
+    np.testing.assert_allclose(state, [0.45, 0.05, np.pi], atol=1e-9)
+    np.testing.assert_allclose(velocity, [0.5, 0, 0])

@@ -1,0 +1,622 @@
+"""The fingerprints of a session: the old set or the new one is always there whole, and nothing damaged is believed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import pickle
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from embodied_active_learning.config import SessionConfig
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.objects.fingerprint import ARRAYS, BLANK
+from embodied_active_learning.session import fingerprints, lock
+from embodied_active_learning.session.checkpoints import save_model
+from embodied_active_learning.session.description import write_description
+from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints, save_fingerprints
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
+from sample_fingerprints import CONFIG, make_fingerprint, make_set
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+FILES = ("set.yaml", "model.safetensors", "object-1/fingerprint.safetensors")
+FACTS = ("session", "updates", "observations", "created")
+
+
+@pytest.fixture
+def session(tmp_path):
+    return make_session(tmp_path)
+
+
+def make_session(folder, config=CONFIG):
+    path = folder / "a"
+    path.mkdir()
+    write_description(path / "config.yaml", config)
+    return path
+
+
+def numbered(number):
+    """A set in which everything says the same number."""
+    arrays = {
+        field: np.full_like(array, number % 256)
+        for field, array in ((field, getattr(make_fingerprint(), field)) for field in ARRAYS)
+    }
+    weights = {"layer.weight": torch.full((2, 3), float(number))}
+    return make_set(updates=number, weights=weights, fingerprints=(make_fingerprint(**arrays),))
+
+
+def number_of(found):
+    """The number that everything in a set says."""
+    assert_same(found, numbered(found.updates))
+    return found.updates
+
+
+def assert_same(found, expected):
+    for field in FACTS:
+        assert getattr(found, field) == getattr(expected, field)
+    assert list(found.weights) == list(expected.weights)
+    for name, tensor in expected.weights.items():
+        assert torch.equal(found.weights[name], tensor)
+    assert len(found.fingerprints) == len(expected.fingerprints)
+    for one, other in zip(found.fingerprints, expected.fingerprints):
+        assert (one.name, one.kind, one.importance) == (other.name, other.kind, other.importance)
+        for field in ARRAYS:
+            array, wanted = getattr(one, field), getattr(other, field)
+            assert (array.dtype, array.shape, array.tobytes()) == (wanted.dtype, wanted.shape, wanted.tobytes())
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_set_comes_back_exactly_with_the_configuration_of_its_session(session):
+    generation = save_fingerprints(session, make_set())
+    assert generation == session / "fingerprints" / "000001"
+    found = load_fingerprints(session)
+    assert_same(found, make_set())
+    assert found.config == CONFIG
+    assert type(found.fingerprints) is tuple
+
+
+def test_set_without_fingerprints_comes_back_too(session):
+    save_fingerprints(session, make_set(fingerprints=()))
+    assert load_fingerprints(session).fingerprints == ()
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    states=arrays(np.float64, (2, 3), elements=st.floats(-1e300, 1e300)),
+    images=arrays(np.uint8, (2, 8, 9, 3), elements=st.integers(0, 255), fill=st.integers(0, 255)),
+    stds=arrays(np.float32, (2, 2), elements=st.floats(0, 2.0**100, width=32)),
+    importance=st.floats(0, 1),
+    counts=st.tuples(st.integers(0, 2**63), st.integers(0, 2**63)),
+)
+def test_any_numbers_come_back_bit_by_bit(tmp_path_factory, states, images, stds, importance, counts):
+    session = make_session(tmp_path_factory.mktemp("sessions"))
+    fingerprint = make_fingerprint(
+        centre=states[0], states=states, images=images, latent_means=-stds, latent_stds=stds, importance=importance
+    )
+    expected = make_set(fingerprints=(fingerprint,), updates=counts[0], observations=counts[1])
+    save_fingerprints(session, expected)
+    assert_same(load_fingerprints(session), expected)
+
+
+def test_arrays_that_are_read_only_or_run_backwards_are_saved_as_they_look(session):
+    frozen = np.arange(9.0).reshape(3, 3)
+    frozen.setflags(write=False)
+    images = make_fingerprint().images[::-1, :, ::-1]
+    expected = make_set(fingerprints=(make_fingerprint(states=frozen, images=images),))
+    save_fingerprints(session, expected)
+    assert_same(load_fingerprints(session), expected)
+
+
+@pytest.mark.parametrize("name", ["0", "1e5", "null"])
+def test_names_that_yaml_could_take_for_something_else_come_back(session, name):
+    expected = make_set(session=name, fingerprints=(make_fingerprint(name=name),))
+    save_fingerprints(session, expected)
+    assert_same(load_fingerprints(session), expected)
+
+
+def test_thumbnail_is_for_people_and_never_needed(session):
+    generation = save_fingerprints(session, make_set())
+    path = generation / "object-1" / "thumbnail.png"
+    np.testing.assert_array_equal(cv2.imread(str(path))[..., ::-1], make_fingerprint().thumbnail)
+    path.unlink()
+    assert_same(load_fingerprints(session), make_set())
+
+
+def test_second_save_replaces_the_first(session):
+    save_fingerprints(session, make_set())
+    generation = save_fingerprints(session, numbered(7))
+    assert number_of(load_fingerprints(session)) == 7
+    assert names_in(session / "fingerprints") == [".lock", generation.name]
+    assert names_in(generation) == ["model.safetensors", "object-1", "set.yaml"]
+
+
+def test_leftovers_of_killed_savers_are_removed_by_the_next_save_and_nothing_else(session):
+    folder = session / "fingerprints"
+    (folder / ".000001.tmp" / "object-1").mkdir(parents=True)
+    (folder / ".set.yaml.7.8.tmp").write_text("half")
+    (folder / ".000009.tmp").symlink_to(session)
+    (folder / "notes.txt").write_text("mine")
+    assert not has_fingerprints(session)
+    save_fingerprints(session, numbered(1))
+    assert names_in(folder) == [".lock", "000001", "notes.txt"]
+    assert (session / "config.yaml").is_file()
+
+
+def test_session_without_fingerprints_says_how_to_get_some(session):
+    (session / "fingerprints").mkdir()
+    assert not has_fingerprints(session)
+    command = "roslaunch embodied_active_learning fingerprint.launch session:=a"
+    with pytest.raises(SessionError, match=rf"a has no fingerprints yet: call /fingerprint first, with {command}$"):
+        load_fingerprints(session)
+    save_fingerprints(session, make_set())
+    assert has_fingerprints(session)
+
+
+def test_folder_that_is_no_session_is_refused_and_left_alone(tmp_path):
+    with pytest.raises(CorruptFileError, match=r"config.yaml is missing"):
+        load_fingerprints(tmp_path)
+    with pytest.raises(CorruptFileError, match=r"config.yaml is missing"):
+        save_fingerprints(tmp_path, make_set())
+    assert names_in(tmp_path) == []
+
+
+def test_set_of_another_session_s_configuration_is_not_saved(session):
+    config = replace(CONFIG, exploration=replace(CONFIG.exploration, seed=3))
+    with pytest.raises(SessionError, match=r"do not belong to session .*: exploration/seed is 3 but"):
+        save_fingerprints(session, make_set(config=config))
+    assert not has_fingerprints(session)
+
+
+@pytest.mark.parametrize("name", ["set.yaml", "model.safetensors"])
+def test_no_fingerprint_can_be_called_like_a_file_of_its_set(name):
+    with pytest.raises(SessionError, match=rf"name of a fingerprint is '{name}': give 1 to 64"):
+        make_fingerprint(name=name)
+
+
+def test_set_of_a_session_whose_name_was_legal_once_is_still_read(session):
+    save_fingerprints(session, make_set(session="a.b"))
+    assert load_fingerprints(session).session == "a.b"
+
+
+def test_weights_that_are_not_finite_keep_the_old_set(session):
+    save_fingerprints(session, numbered(1))
+    with pytest.raises(SessionError, match=r"tensor w holds values that are not finite"):
+        save_fingerprints(session, make_set(weights={"w": torch.tensor([float("nan")])}))
+    assert number_of(load_fingerprints(session)) == 1
+    assert names_in(session / "fingerprints") == [".lock", "000001"]
+
+
+def test_set_is_saved_and_loaded_while_the_trainer_holds_the_session(tmp_path):
+    config = replace(CONFIG, session=SessionConfig(root=str(tmp_path), name="a"))
+    with Session.open_for_writing(config) as session:
+        save_fingerprints(session.paths.path, make_set(config=config))
+        assert load_fingerprints(session.paths.path).config == config
+
+
+def test_two_processes_never_save_at_once(session):
+    save_fingerprints(session, numbered(1))
+    with (session / "fingerprints" / ".lock").open("ab") as held:
+        lock.claim(held, session)
+        with pytest.raises(SessionError, match=r"fingerprints is being written by another process: end that one first"):
+            save_fingerprints(session, numbered(2))
+        assert number_of(load_fingerprints(session)) == 1
+    save_fingerprints(session, numbered(2))
+    assert number_of(load_fingerprints(session)) == 2
+
+
+def test_set_that_is_replaced_while_it_is_read_gives_the_new_one(session, monkeypatch):
+    save_fingerprints(session, numbered(1))
+    rounds = []
+
+    def load_slowly(path, reader):
+        rounds.append(path.parent.name)
+        if len(rounds) == 1:
+            save_fingerprints(session, numbered(2))
+        return load_model(path, reader)
+
+    load_model = fingerprints.load_model
+    monkeypatch.setattr(fingerprints, "load_model", load_slowly)
+    assert number_of(load_fingerprints(session)) == 2
+    assert rounds == ["000001", "000002"]
+
+
+def test_old_or_new_set_is_whole_whenever_its_saver_is_killed(session):
+    # In a process without threads, because it forks; in one for both, because torch takes seconds to start.
+    code = "import sys, test_session_fingerprints as tests; tests.kill_savers(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", code, str(session)], check=True, timeout=120, env=ENVIRONMENT)
+
+
+def kill_savers(session):
+    kill_at_random_moments(Path(session))
+    kill_before_each_step(Path(session))
+
+
+def fork(work):
+    """A child process that does the work and ends with status 0, or 1 when it failed."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            work()
+            status = 0
+        finally:
+            os._exit(status)
+    return child
+
+
+def kill_at_random_moments(session):
+    moments, latest = random.Random(3), 1
+    save_fingerprints(session, numbered(latest))
+    for _ in range(10):
+        reader, writer = os.pipe()
+
+        def work(first=latest + 1, writer=writer):
+            for number in range(first, 10**6):
+                save_fingerprints(session, numbered(number))
+                os.write(writer, number.to_bytes(4, "big"))
+
+        child = fork(work)
+        os.close(writer)
+        time.sleep(moments.uniform(0.0, 0.15))
+        os.kill(child, signal.SIGKILL)
+        assert os.waitpid(child, 0)[1] == signal.SIGKILL
+        with os.fdopen(reader, "rb") as stream:
+            reported = int.from_bytes(stream.read()[-4:], "big") or latest
+        latest = number_of(load_fingerprints(session))
+        assert reported <= latest <= reported + 1
+    save_fingerprints(session, numbered(latest + 1))
+    assert len(names_in(session / "fingerprints")) == 2
+
+
+def kill_before_each_step(session):
+    save_fingerprints(session, numbered(1))
+    before, found, status = session.with_name("before"), [], signal.SIGKILL
+    session.rename(before)
+    while status == signal.SIGKILL:
+        shutil.copytree(before, session)
+        child = fork(lambda: (die_before(len(found)), save_fingerprints(session, numbered(2))))
+        status = os.waitpid(child, 0)[1]
+        found.append(number_of(load_fingerprints(session)))
+        shutil.rmtree(session)
+    assert status == 0
+    assert found == sorted(found)
+    assert found.count(1) > 15, "the steps before the commit"
+    assert found.count(2) > 5, "the steps after it, which delete the old set"
+
+
+def die_before(step):
+    """Let this process be killed before it touches the file system for that time, from 0."""
+    steps = iter(range(step + 1))
+
+    def count(event, _):
+        if event in ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir") and next(steps) == step:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    os.fsync = lambda _: None  # the machine goes on
+    sys.addaudithook(count)
+
+
+def full_disk_at(monkeypatch, function, step):
+    """Let that call of a function of os, from 0, find the disk full."""
+    real, steps = getattr(os, function), iter(range(step + 1))
+
+    def call(*arguments, **keywords):
+        if next(steps, None) == step:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(*arguments, **keywords)
+
+    monkeypatch.setattr(os, function, call)
+
+
+FULL = r"fingerprints cannot be written \(.*\): free some of the disk, or make the folder writable; the last whole set"
+
+
+@pytest.mark.parametrize(("function", "calls"), [("replace", 5), ("fsync", 9)])
+def test_full_disk_keeps_the_old_set_and_says_what_to_do(session, monkeypatch, function, calls):
+    save_fingerprints(session, numbered(1))
+    for step in range(calls):
+        with monkeypatch.context() as patched:
+            full_disk_at(patched, function, step)
+            with pytest.raises(SessionError, match=FULL) as raised:
+                save_fingerprints(session, numbered(2))
+        assert "(No space left on device)" in str(raised.value)
+        assert number_of(load_fingerprints(session)) == 1
+        assert names_in(session / "fingerprints") == [".lock", "000001"]
+
+
+def test_disk_that_fails_after_the_commit_leaves_the_new_set(session, monkeypatch):
+    save_fingerprints(session, numbered(1))
+    full_disk_at(monkeypatch, "fsync", 9)
+    with pytest.raises(SessionError, match=FULL):
+        save_fingerprints(session, numbered(2))
+    assert number_of(load_fingerprints(session)) == 2
+
+
+def test_file_that_the_system_cuts_short_keeps_the_old_set(session):
+    save_fingerprints(session, numbered(1))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, hard))
+    try:
+        with pytest.raises(SessionError, match=FULL):
+            save_fingerprints(session, numbered(2))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert number_of(load_fingerprints(session)) == 1
+    assert names_in(session / "fingerprints") == [".lock", "000001"]
+
+
+def test_file_larger_than_is_ever_loaded_is_not_saved(session, monkeypatch):
+    save_fingerprints(session, numbered(1))
+    for kind, remedy in (("", "fewer fingerprints"), ("_MODEL", "smaller model"), ("_FINGERPRINT", "fewer views")):
+        with monkeypatch.context() as patched:
+            patched.setattr(fingerprints, f"{kind}_READER", replace(fingerprints._READER, limit=10))
+            with pytest.raises(SessionError, match=rf"bytes, and 10 are allowed: .*{remedy}"):
+                save_fingerprints(session, numbered(2))
+    assert number_of(load_fingerprints(session)) == 1
+
+
+@pytest.mark.parametrize(("name", "size"), zip(FILES, (2**18, 2**32, 2**30)))
+def test_file_that_is_too_large_is_refused_unread(session, name, size):
+    path = save_fingerprints(session, make_set()) / name
+    os.truncate(path, size + 1)
+    with pytest.raises(CorruptFileError, match=rf"{name} has {size + 1} bytes, and {size} are allowed"):
+        load_fingerprints(session)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_missing_file_and_what_is_no_file_are_refused_by_name(session, name):
+    path = save_fingerprints(session, make_set()) / name
+    path.unlink()
+    made = {
+        "is missing": lambda: None,
+        r"cannot be read \(it is a folder\)": path.mkdir,
+        r"cannot be read \(it is a named pipe\)": lambda: (path.rmdir(), os.mkfifo(path)),
+    }
+    for complaint, make in made.items():
+        make()
+        with pytest.raises(CorruptFileError, match=rf"{name} {complaint}: restore it, or call /fingerprint"):
+            load_fingerprints(session)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_flipped_bits_are_refused_by_name_or_change_nothing(session, name):
+    path = save_fingerprints(session, make_set()) / name
+    content = path.read_bytes()
+    refusals = []
+    tried = range(0, len(content), (len(content) // 40) | 1)
+    for position in tried:
+        flipped = bytearray(content)
+        flipped[position] ^= 1 << (position % 8)
+        path.write_bytes(flipped)
+        refusals += refusal(session, make_set())
+    assert all(name in said for said in refusals)
+    assert len(refusals) > len(tried) / 2
+
+
+def refusal(session, expected):
+    """Why a set is not loaded, in a list; an empty one when it is loaded as expected."""
+    try:
+        found = load_fingerprints(session)
+    except CorruptFileError as error:
+        return [str(error)]
+    assert_same(found, expected)
+    return []
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_file_cut_short_is_refused_by_name(session, name):
+    path = save_fingerprints(session, make_set()) / name
+    content = path.read_bytes()
+    for length in (0, 1, 8, len(content) // 2, len(content) - 2):
+        path.write_bytes(content[:length])
+        with pytest.raises(CorruptFileError, match=name):
+            load_fingerprints(session)
+
+
+def test_damaged_newest_set_does_not_fall_back_to_an_older_one(session):
+    old = save_fingerprints(session, numbered(1))
+    kept = session / "kept"
+    shutil.copytree(old, kept)
+    new = save_fingerprints(session, numbered(2))
+    kept.rename(old)
+    (new / "set.yaml").unlink()
+    with pytest.raises(CorruptFileError, match=r"000002/set.yaml is missing"):
+        load_fingerprints(session)
+
+
+@pytest.mark.parametrize("name", FILES[1:])
+def test_file_of_another_kind_is_refused_by_name(session, name):
+    path = save_fingerprints(session, make_set()) / name
+    write_tensors(path, "checkpoint", {"weight": torch.ones(1)}, {})
+    with pytest.raises(CorruptFileError, match=rf"{name}: format is 'embodied_active_learning/checkpoint'"):
+        load_fingerprints(session)
+
+
+class Canary:
+    """A pickle that makes a folder when it is loaded."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (os.mkdir, (str(self.path),))
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("write", [pickle.dump, torch.save])
+def test_pickle_under_a_name_of_ours_is_refused_and_never_run(session, name, write):
+    path, canary = save_fingerprints(session, make_set()) / name, session / "canary"
+    with path.open("wb") as stream:
+        write(Canary(canary), stream)
+    with pytest.raises(CorruptFileError, match=name):
+        load_fingerprints(session)
+    assert not canary.exists()
+
+
+def test_yaml_that_wants_to_run_something_is_refused_and_never_run(session):
+    path, canary = save_fingerprints(session, make_set()) / "set.yaml", session / "canary"
+    call = f"!!python/object/apply:os.mkdir [{canary}]"
+    for text in (call, path.read_text().replace("updates: 9000", f"updates: {call}")):
+        path.write_text(text)
+        with pytest.raises(CorruptFileError, match=r"set.yaml is not plain YAML .* tag .* is not understood"):
+            load_fingerprints(session)
+    assert not canary.exists()
+
+
+@pytest.mark.parametrize("text", ["", "[]", "a: [", "\xff", "{}", pytest.param("[" * 1000, id="deep")])
+def test_set_file_that_holds_no_fields_is_refused(session, text):
+    path = save_fingerprints(session, make_set()) / "set.yaml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(CorruptFileError, match=r"set.yaml"):
+        load_fingerprints(session)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("format", "else", "format is 'else', expected"),
+        ("version", 2, "version is 2, expected 1"),
+        ("updates", 9001, "updates is 9001, expected 9000"),
+        ("observations", None, "observations is None, expected 3000"),
+        ("names", ["object-1"], r"names is \['object-1'\], expected"),
+        ("more", 1, "'more' is no field"),
+    ],
+)
+def test_set_file_that_was_changed_is_refused_by_field(session, field, value, message):
+    path = save_fingerprints(session, make_set()) / "set.yaml"
+    content = yaml.safe_load(path.read_text())
+    path.write_text(yaml.safe_dump({**content, field: value}))
+    with pytest.raises(CorruptFileError, match=rf"set.yaml: {message}"):
+        load_fingerprints(session)
+    content.pop(field, None)
+    path.write_text(yaml.safe_dump(content))
+    if field != "more":
+        with pytest.raises(CorruptFileError, match=rf"set.yaml: {field} is missing"):
+            load_fingerprints(session)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("session", "../x", "session of the fingerprints is '../x'"),
+        ("updates", -1, "updates is -1"),
+        ("updates", "9000", "updates is '9000'"),
+        ("observations", 1.5, "observations is 1.5"),
+        ("created", "yesterday", "created is 'yesterday'"),
+        ("names", "object-1", "names is 'object-1', expected a list"),
+        ("names", ["../x"], "one of names is '../x'"),
+        ("names", ["/etc"], "one of names is '/etc'"),
+        ("names", [".."], "one of names is '..'"),
+        ("names", [1], "one of names is '1'"),
+        ("names", ["object-1", "object-1"], "names of fingerprints are object-1, object-1"),
+    ],
+)
+def test_set_with_illegal_facts_is_refused_though_its_checksum_is_right(session, field, value, message):
+    generation = save_fingerprints(session, make_set())
+    path = generation / "set.yaml"
+    content = {**yaml.safe_load(path.read_text()), field: value}
+    path.write_text(yaml.safe_dump(content))
+    facts = {name: content[name] for name in (*FACTS, "names")}
+    save_model(generation / "model.safetensors", make_set().weights, facts)
+    with pytest.raises(CorruptFileError, match=rf"set.yaml: {message}"):
+        load_fingerprints(session)
+
+
+@pytest.mark.parametrize(
+    ("tensors", "facts", "message"),
+    [
+        ({"centre": torch.zeros(3)}, {}, "object-1: centre is float32"),
+        ({"states": torch.zeros(2, 3, dtype=torch.float64)}, {}, r"object-1: images is uint8 \(3, "),
+        ({"latent_means": torch.zeros(3, 2, dtype=torch.float16)}, {}, "latent_means is float16, expected one of"),
+        ({"latent_stds": None}, {}, "latent_stds is missing"),
+        ({"more": torch.zeros(1)}, {}, "'more' is no field"),
+        ({}, {"name": "object-2"}, "name is 'object-2', expected 'object-1'"),
+        ({}, {"kind": "thing"}, "object-1: kind is 'thing'"),
+        ({}, {"importance": "1"}, "object-1: importance is '1'"),
+        ({}, {"importance": 2.0}, "object-1: importance is 2.0"),
+        ({}, {"importance": None}, "object-1: importance is None"),
+        ({}, {"more": 1}, "'more' is no field"),
+    ],
+)
+def test_fingerprint_that_is_none_is_refused_though_its_checksum_is_right(session, tensors, facts, message):
+    path = save_fingerprints(session, make_set()) / "object-1" / "fingerprint.safetensors"
+    stored, said = read_tensors(path, "fingerprint")
+    changed = {name: tensor for name, tensor in {**stored, **tensors}.items() if tensor is not None}
+    write_tensors(path, "fingerprint", changed, {**said, **facts})
+    with pytest.raises(CorruptFileError, match=rf"fingerprint.safetensors: {message}"):
+        load_fingerprints(session)
+
+
+def test_set_that_no_longer_fits_the_session_is_refused(session):
+    save_fingerprints(session, make_set())
+    write_description(session / "config.yaml", replace(CONFIG, model=replace(CONFIG.model, latent_size=5)))
+    with pytest.raises(CorruptFileError, match=r"set.yaml: object-1: latent_means has 2 latent variables, but"):
+        load_fingerprints(session)
+
+
+@pytest.mark.parametrize("name", ["", "000001", *(f"000001/{name}" for name in (*FILES, "object-1"))])
+def test_link_out_of_the_session_is_refused(session, tmp_path, name):
+    save_fingerprints(session, make_set())
+    path = session / "fingerprints" / name
+    path.rename(tmp_path / "elsewhere")
+    path.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(CorruptFileError, match=r"leads out of .*/a, to .*/elsewhere"):
+        load_fingerprints(session)
+
+
+def test_nothing_is_written_or_deleted_through_a_link(session, tmp_path):
+    generation = save_fingerprints(session, numbered(1))
+    generation.rename(tmp_path / "elsewhere")
+    generation.symlink_to(tmp_path / "elsewhere")
+    save_fingerprints(session, numbered(2))
+    assert "set.yaml" in names_in(tmp_path / "elsewhere")
+    assert names_in(session / "fingerprints") == [".lock", "000002"]
+
+    (session / "fingerprints").rename(tmp_path / "other")
+    (session / "fingerprints").symlink_to(tmp_path / "other")
+    with pytest.raises(SessionError, match=r"leads out of"):
+        save_fingerprints(session, numbered(3))
+    assert names_in(tmp_path / "other") == [".lock", "000002"]
+
+
+def test_session_that_is_reached_through_a_link_is_as_good(session, tmp_path):
+    (tmp_path / "link").symlink_to(session)
+    save_fingerprints(tmp_path / "link", numbered(1))
+    assert number_of(load_fingerprints(tmp_path / "link")) == 1
+    assert number_of(load_fingerprints(session)) == 1
+
+
+def test_generations_go_on_after_six_digits(session):
+    folder = session / "fingerprints"
+    save_fingerprints(session, numbered(1)).rename(folder / "999999")
+    shutil.copytree(folder / "999999", session / "kept")
+    assert save_fingerprints(session, numbered(2)).name == "1000000"
+    (session / "kept").rename(folder / "999999")
+    assert number_of(load_fingerprints(session)) == 2
+
+
+def test_blanks_are_kept_in_their_order(session):
+    order = ("blank-1", "object-2", "object-1")
+    found = tuple(make_fingerprint(name=name, kind=BLANK, importance=0.0) for name in order)
+    save_fingerprints(session, make_set(fingerprints=found))
+    assert tuple(fingerprint.name for fingerprint in load_fingerprints(session).fingerprints) == order

@@ -1,0 +1,81 @@
+"""The planner's memory on disk: it comes back bit for bit, or is refused by name."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.pipeline.exploration import ExplorationRun
+from embodied_active_learning.session.array_files import read_arrays, write_arrays
+from embodied_active_learning.session.planner_state import PlannerState, load_memory, save_memory
+
+
+@pytest.fixture
+def memory():
+    run = ExplorationRun(Config.from_dict({"exploration": {"samples": 50, "fresh_samples": 5}}))
+    run.observe(np.array([0.475, 0.0, 0.0]), np.zeros(3))
+    run.assess(None)
+    run.next_command()
+    state, velocity, arm = np.array([0.4, 0.1, 0.2]), np.array([0.1, 0.0, np.pi]), np.arange(18.0) / 7.0
+    return PlannerState(1, (12, 345), state, velocity, arm, run.memory())
+
+
+def test_a_memory_comes_back_bit_for_bit(tmp_path, memory):
+    save_memory(tmp_path / "planner.safetensors", memory)
+    found = load_memory(tmp_path / "planner.safetensors")
+    assert (found.index, found.stamp) == (1, (12, 345))
+    for name in ("state", "velocity", "arm"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(memory, name))
+    assert found.run.keys() == memory.run.keys()
+    for name, array in memory.run.items():
+        assert found.run[name].dtype == array.dtype
+        np.testing.assert_array_equal(found.run[name], array)
+
+
+def test_a_later_memory_takes_the_place_of_the_one_before(tmp_path, memory):
+    path = tmp_path / "planner.safetensors"
+    save_memory(path, memory)
+    save_memory(path, dataclasses.replace(memory, index=2, arm=np.empty(0)))
+    assert load_memory(path).index == 2
+    assert load_memory(path).arm.shape == (0,)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_no_memory_is_none(tmp_path):
+    assert load_memory(tmp_path / "planner.safetensors") is None
+
+
+@pytest.mark.parametrize(
+    ("arrays", "facts", "words"),
+    [
+        ({"state": np.zeros(4)}, {}, "state is not finite numbers"),
+        ({"velocity": np.array([0.0, np.nan, 0.0])}, {}, "velocity is not finite numbers"),
+        ({"arm": np.zeros((2, 2))}, {}, "arm is not finite numbers"),
+        ({"arm": None}, {}, "arm is not finite numbers"),
+        ({"state": np.zeros(3, np.float32)}, {}, "state is not finite numbers"),
+        ({}, {"index": -1}, "index is -1"),
+        ({}, {"index": "1"}, "index is '1'"),
+        ({}, {"stamp": [1]}, r"stamp is \[1\]"),
+        ({}, {"stamp": [1, -2]}, r"stamp is \[1, -2\]"),
+    ],
+)
+def test_a_memory_that_is_none_is_refused_though_its_checksum_is_right(tmp_path, memory, arrays, facts, words):
+    path = tmp_path / "planner.safetensors"
+    save_memory(path, memory)
+    stored, said = read_arrays(path, "planner")
+    changed = {name: array for name, array in {**stored, **arrays}.items() if array is not None}
+    write_arrays(path, "planner", changed, {**said, **facts})
+    with pytest.raises(CorruptFileError, match=rf"planner.safetensors: {words}.*delete it"):
+        load_memory(path)
+
+
+def test_a_damaged_memory_is_refused(tmp_path, memory):
+    path = tmp_path / "planner.safetensors"
+    save_memory(path, memory)
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(bytes(content))
+    with pytest.raises(CorruptFileError, match="sha256"):
+        load_memory(path)

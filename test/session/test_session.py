@@ -1,0 +1,354 @@
+"""A session folder: one writer, no overwriting, no surprises when it is continued."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import yaml
+
+from embodied_active_learning import __version__
+from embodied_active_learning.config import Config, merge
+from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.session import disk
+from embodied_active_learning.session.paths import check_name
+from embodied_active_learning.session.session import Session, check_session, list_sessions
+from embodied_active_learning.session.summary import Summary, read_summary, summarise, write_summary
+
+LARGEST_PROCESS = 2**22  # that Linux gives a number to
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+
+
+def make_config(root, name="a", resume=False, **sections):
+    values = {
+        "session": {"root": str(root), "name": name, "resume": resume},
+        "camera": {"width": 45, "height": 45},
+        "exploration": {"steps": 100},
+    }
+    return Config.from_dict(merge(values, sections))
+
+
+def create(root, **keywords):
+    Session.open_for_writing(make_config(root, **keywords)).close()
+
+
+def files_below(folder):
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_new_session_holds_the_whole_configuration_and_the_package_version(tmp_path):
+    config = make_config(tmp_path)
+    with Session.open_for_writing(config) as session:
+        assert session.writable
+        stored = yaml.safe_load(session.paths.config.read_text())
+    assert stored["package_version"] == __version__
+    assert Config.from_dict(stored["config"]) == config
+    reader = Session.open_read_only(tmp_path / "a")
+    assert (reader.name, reader.config, reader.writable) == ("a", config, False)
+
+
+def test_observations_and_tables_of_a_session_are_read_by_others_while_it_runs(tmp_path):
+    image = np.full((45, 45, 3), 3, np.uint8)
+    with Session.open_for_writing(make_config(tmp_path)) as session, session.open_observations() as store:
+        store.append(0, 0.0, (0.4, 0.0, 0.0), image)
+        with session.open_table("exploration") as table:
+            table.append({"step": 0, "x": 0.4})
+            reader = Session.open_read_only(tmp_path / "a")
+            with reader.open_observations() as seen:
+                np.testing.assert_array_equal(seen.images, [image])
+            assert reader.read_table("exploration")["x"].tolist() == [0.4]
+            assert len(reader.read_table("training")["loss"]) == 0
+
+
+def test_existing_session_is_not_overwritten_without_resume(tmp_path):
+    create(tmp_path)
+    before = files_below(tmp_path)
+    for attempt in (check_session, Session.open_for_writing):
+        with pytest.raises(SessionError, match="exists: choose another session/name, or set session/resume"):
+            attempt(make_config(tmp_path))
+    assert files_below(tmp_path) == before
+
+
+def test_session_is_continued_with_resume_and_may_become_longer(tmp_path):
+    create(tmp_path)
+    with Session.open_for_writing(make_config(tmp_path, resume=True, exploration={"steps": 200})):
+        pass
+    assert Session.open_read_only(tmp_path / "a").config.exploration.steps == 200
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("workspace", "x", [0.3, 0.6]),
+        ("camera", "width", 60),
+        ("camera", "distance", 0.4),
+        ("model", "latent_size", 8),
+        ("model", "hidden_sizes", [64, 32]),
+        ("simulation", "world", "right"),
+        ("exploration", "explorer", "random_walk"),
+        ("exploration", "seed", 3),
+    ],
+)
+def test_session_is_not_continued_with_what_its_data_does_not_fit(tmp_path, section, key, value):
+    create(tmp_path)
+    config = make_config(tmp_path, resume=True, **{section: {key: value}})
+    with pytest.raises(SessionError, match=f"cannot be continued: {section}/{key} is .* but the session has"):
+        check_session(config)
+
+
+def test_world_that_only_moved_does_not_keep_a_session_from_being_continued(tmp_path):
+    create(tmp_path, simulation={"world": "/old/worlds/right.yaml"})
+    check_session(make_config(tmp_path, resume=True, simulation={"world": "/new/worlds/right.yaml"}))
+
+
+def test_resuming_what_does_not_exist_lists_what_does(tmp_path):
+    create(tmp_path, name="first")
+    with pytest.raises(SessionError, match=r"no session .*/b to resume; in that folder there are: first"):
+        check_session(make_config(tmp_path, name="b", resume=True))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "..", "../x", "a/b", "/etc", ".hidden", "A", "a b", "ä", "a\n", "a\x00", "-a", "a.b", "x" * 65, "x" * 10000],
+)
+def test_names_that_could_leave_the_folder_or_surprise_a_shell_are_refused(tmp_path, name):
+    with pytest.raises(SessionError, match=r"session/name is .*: give 1 to 64 of a-z"):
+        check_session(make_config(tmp_path, name=name))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a", "0", "diagonal-ergodic-seed0-20261122-124500", "a_b-c-d", "x" * 64])
+def test_ordinary_names_are_allowed(name):
+    assert check_name(name) == name
+
+
+def test_check_creates_nothing(tmp_path):
+    check_session(make_config(tmp_path / "root"))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "config.yaml"])
+def test_folder_that_is_not_ours_is_refused_untouched(tmp_path, name):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / name).write_text("mine: true\n")
+    before = files_below(tmp_path)
+    for resume in (False, True):
+        with pytest.raises(SessionError, match="choose another"):
+            Session.open_for_writing(make_config(tmp_path, resume=resume))
+    assert files_below(tmp_path) == before
+
+
+def test_file_or_link_in_the_place_of_a_session_is_refused(tmp_path):
+    (tmp_path / "a").write_text("file")
+    create(tmp_path, name="target")
+    (tmp_path / "b").symlink_to(tmp_path / "target")
+    (tmp_path / "c").symlink_to(tmp_path / "nowhere")
+    for name in ("a", "b", "c"):
+        with pytest.raises(SessionError, match="is no session of this package"):
+            Session.open_for_writing(make_config(tmp_path, name=name, resume=True))
+
+
+def test_root_that_cannot_hold_folders_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SessionError, match="choose another session/root"):
+        check_session(make_config(tmp_path / "file" / "root"))
+
+
+def test_what_a_process_left_that_died_while_creating_a_session_is_taken_over(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / ".lock").write_text("process 1 on elsewhere")
+    leftover = tmp_path / "a" / f".config.yaml.{LARGEST_PROCESS + 1}.2.tmp"
+    beside = tmp_path / "a" / f".planner.safetensors.{os.getppid()}.2.tmp"
+    for path in (leftover, beside):
+        path.write_text("half")
+    create(tmp_path)
+    assert not leftover.exists()
+    assert beside.exists(), "its writer still runs"
+
+
+def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):
+    create(tmp_path)
+    canary = tmp_path / "canary"
+    path = tmp_path / "a" / "config.yaml"
+    path.write_text(f"format: !!python/object/apply:os.mkdir ['{canary}']\n")
+    with pytest.raises(CorruptFileError, match=r"config.yaml is not plain YAML"):
+        Session.open_read_only(tmp_path / "a")
+    (tmp_path / "a" / "summary.yaml").write_text(path.read_text())
+    with pytest.raises(CorruptFileError, match=r"summary.yaml is not plain YAML"):
+        read_summary(tmp_path / "a" / "summary.yaml")
+    assert not canary.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 3}, "version is 3, expected 2"),
+        ({}, "sha256 is missing, so the end of the file was lost"),
+        ({"format": None}, "format is None, expected"),
+        ({"config": {"camera": {"width": -3}}}, "camera/width is -3"),
+        ({"config": {"camera": {"widht": 3}}}, "did you mean camera/width"),
+        ({"config": None}, "the configuration is NoneType"),
+    ],
+)
+def test_description_that_is_not_understood_is_refused_by_file_and_field(tmp_path, change, message):
+    create(tmp_path)
+    path = tmp_path / "a" / "config.yaml"
+    content = yaml.safe_load(path.read_text())
+    del content["sha256"]
+    path.write_text(yaml.safe_dump({**content, **({"version": 1} if "config" in change else {}), **change}))
+    with pytest.raises(CorruptFileError, match=f"config.yaml: .*{message}"):
+        Session.open_read_only(tmp_path / "a")
+    assert list_sessions(tmp_path) == []
+
+
+def test_description_of_before_there_was_a_checksum_is_still_read(tmp_path):
+    create(tmp_path)
+    path = tmp_path / "a" / "config.yaml"
+    content = {**yaml.safe_load(path.read_text()), "version": 1}
+    del content["sha256"]
+    path.write_text(yaml.safe_dump(content))
+    assert Session.open_read_only(tmp_path / "a").config == make_config(tmp_path)
+
+
+def test_setting_that_was_changed_in_a_description_is_noticed(tmp_path):
+    create(tmp_path)
+    path = tmp_path / "a" / "config.yaml"
+    path.write_text(path.read_text().replace("seed: 0", "seed: 1"))
+    with pytest.raises(CorruptFileError, match=r"config.yaml: sha256 does not fit the rest"):
+        Session.open_read_only(tmp_path / "a")
+
+
+HOLDER = """
+import sys, yaml
+from embodied_active_learning.config import Config
+from embodied_active_learning.session.session import Session
+session = Session.open_for_writing(Config.from_dict(yaml.safe_load(sys.argv[1])))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_second_writer_is_told_who_holds_the_session_until_kill_9_releases_it(tmp_path):
+    text = yaml.safe_dump(make_config(tmp_path).to_dict())
+    command = [sys.executable, "-c", HOLDER, text]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT) as child:
+        assert child.stdout.readline() == "held\n"
+        again = make_config(tmp_path, resume=True)
+        for attempt in (check_session, Session.open_for_writing):
+            with pytest.raises(SessionError, match=f"in use by process {child.pid} on "):
+                attempt(again)
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        Session.open_for_writing(again).close()
+
+
+def test_run_that_would_not_fit_on_the_disk_is_refused_before_it_starts(tmp_path, monkeypatch):
+    config = make_config(tmp_path)
+    usage = disk.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: usage._replace(free=1000))
+    with pytest.raises(SessionError, match=r"needs about 0.2 GB for 100 observations .* 0.0 GB are free: free some"):
+        check_session(config)
+
+
+def test_space_for_the_paper_s_run_is_estimated_from_images_and_checkpoints():
+    # 3000 images of 97,200 bytes; 4.3 million weights of 4 bytes, in each of 3 checkpoints with two moments and the
+    # weights of the model before, and once in the model.
+    assert disk.estimate_bytes(Config()) == pytest.approx(3000 * 97_200 + 13 * 4 * 4.3e6, rel=0.1)
+
+
+def test_space_already_used_by_a_session_is_not_asked_for_again(tmp_path, monkeypatch):
+    config = make_config(tmp_path)
+    usage = disk.shutil.disk_usage(tmp_path)
+    free = disk.SPARE_BYTES + disk.estimate_bytes(config) - 500
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: usage._replace(free=free))
+    disk.check_space(tmp_path, config, stored_bytes=501)
+    with pytest.raises(SessionError, match="needs about"):
+        disk.check_space(tmp_path, config, stored_bytes=499)
+
+
+def test_sessions_are_listed_by_name_and_others_left_out(tmp_path):
+    assert list_sessions(tmp_path / "missing") == []
+    for name in ("b", "a"):
+        create(tmp_path, name=name)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "config.yaml").write_text("something: else\n")
+    assert [path.name for path in list_sessions(tmp_path)] == ["a", "b"]
+
+
+def test_summary_tells_what_the_tables_end_with_and_goes_when_the_run_goes_on(tmp_path):
+    with Session.open_for_writing(make_config(tmp_path)) as session:
+        with session.open_table("exploration") as table:
+            for step in range(4):
+                table.append(
+                    {"step": step, "ergodic_measure": 1.0 / (step + 1), "distance": 0.1 * step, "coverage": 0.5}
+                )
+        with session.open_table("training") as table:
+            table.append({"update": 12})
+        with session.open_table("evaluation") as table:
+            table.append({"update": 10, "active_units": 16, "mse_own": 0.001, "mse_shuffled": 0.02})
+        expected = Summary(
+            finished=True,
+            steps=4,
+            updates=12,
+            wall_time=3.5,
+            active_units=16,
+            ergodic_measure=0.25,
+            coverage=0.5,
+            distance=pytest.approx(0.3),
+            mse_own=0.001,
+            mse_shuffled=0.02,
+            mse_none=None,
+        )
+        write_summary(session.paths.summary, summarise(session, finished=True, wall_time=3.5))
+        assert read_summary(session.paths.summary) == expected
+    Session.open_for_writing(make_config(tmp_path, resume=True)).close()
+    assert not session.paths.summary.exists()
+
+
+def test_summary_of_a_run_that_recorded_nothing_has_no_numbers(tmp_path):
+    with Session.open_for_writing(make_config(tmp_path)) as session:
+        summary = summarise(session, finished=False, wall_time=0.0)
+    assert summary == Summary(finished=False, steps=0, updates=0, wall_time=0.0)
+    write_summary(tmp_path / "summary.yaml", summary)
+    assert read_summary(tmp_path / "summary.yaml") == summary
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", " is empty, expected fields"),
+        ("[1]", " is a list, expected fields"),
+        ("finished: true\n", ": steps is missing"),
+        ("".join(f"{field.name}: 1\n" for field in fields(Summary)) + "other: 1\n", ": 'other' is no field"),
+    ],
+)
+def test_summary_that_is_not_understood_is_refused(tmp_path, text, complaint):
+    path = tmp_path / "summary.yaml"
+    path.write_text(text)
+    with pytest.raises(CorruptFileError, match=f"summary.yaml{complaint}"):
+        read_summary(path)
+
+
+def test_missing_summary_means_the_run_did_not_finish(tmp_path):
+    with pytest.raises(CorruptFileError, match="the run did not finish"):
+        read_summary(tmp_path / "summary.yaml")
+
+
+def test_summary_whose_finished_is_no_truth_value_is_refused(tmp_path):
+    path = tmp_path / "summary.yaml"
+    write_summary(path, replace(Summary(True, 1, 1, 1.0), finished="yes"))
+    with pytest.raises(CorruptFileError, match="finished is 'yes'"):
+        read_summary(path)
+
+
+def test_recordings_do_not_pass_for_observations_that_are_stored_already(tmp_path):
+    (tmp_path / "observations").mkdir()
+    (tmp_path / "observations" / "observations.bin").write_bytes(bytes(300))
+    (tmp_path / "bags").mkdir()
+    (tmp_path / "bags" / "a.bag").write_bytes(bytes(5000))
+    assert disk.bytes_below(tmp_path) == 300

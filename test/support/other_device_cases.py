@@ -1,0 +1,92 @@
+"""What is to hold where the model lives on another device; run by test_model_other_device.py."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import torch
+
+from embodied_active_learning.model import learner
+from embodied_active_learning.model.objective import plain_loss
+from embodied_active_learning.pipeline.training import TrainingRun
+from embodied_active_learning.session.checkpoints import load_latest
+from other_device import NAME
+from training_thread import STEPS, TIMEOUT, configured, hand_over, observation, training
+
+
+@contextmanager
+def living_on(device):
+    """The time in which learners are made for a device; with the same arithmetic on either."""
+    with pytest.MonkeyPatch.context() as patch:
+        if device == "cpu":
+            patch.setattr(learner, "choose_device", lambda _: torch.device("cpu"))
+            patch.setattr(learner, "choose_arithmetic", lambda *_: learner.Arithmetic(plain_loss, "plain", 1))
+        yield
+
+
+def devices(run):
+    """Where a run's weights are."""
+    return {tensor.device.type for tensor in weights(run).values()}
+
+
+def weights(run):
+    return run._learner.network.state_dict()
+
+
+def learn(configuration, indices):
+    """Let a run have observations and make its updates -> what it was, and what it answered at the end."""
+    run = TrainingRun(configuration)
+    with training(run) as (reports, finished, errors):
+        hand_over(run, indices)
+        assert finished.wait(TIMEOUT)
+        assert not errors
+        states = np.array([observation(index)[2] for index in range(6)])
+        log_std, _, _ = run.log_std(states, run.updates, TIMEOUT)
+        means, stds, _ = run.encode(states, [observation(index)[3] for index in range(6)])
+    return run, reports, np.concatenate([log_std, means.ravel(), stds.ravel()])
+
+
+def test_tensors_of_the_cpu_are_refused_beside_those_of_the_device():
+    ours, theirs = torch.ones(2, 2, device=NAME), torch.ones(2, 2)
+    with pytest.raises(RuntimeError, match="same device"):
+        ours + theirs
+    with pytest.raises(RuntimeError, match="a tensor of the CPU in aten::mm"):
+        ours @ theirs
+    with pytest.raises(TypeError, match="can't convert"):
+        ours.numpy()
+
+
+def test_a_run_learns_there_what_it_learns_on_the_cpu(tmp_path):
+    there, reports, answers = learn(configured(tmp_path / "there"), range(STEPS))
+    with living_on("cpu"):
+        here, expected_reports, expected_answers = learn(configured(tmp_path / "here"), range(STEPS))
+    assert (devices(there), devices(here)) == ({NAME}, {"cpu"})
+    assert len(reports) == len(expected_reports) == 2 * STEPS
+    for report, expected in zip(reports, expected_reports):
+        assert vars(report) == pytest.approx(vars(expected), rel=1e-4, abs=1e-5)
+    assert answers == pytest.approx(expected_answers, abs=1e-4)
+    for name, tensor in weights(there).items():
+        torch.testing.assert_close(tensor.cpu(), weights(here)[name], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(("begun", "continued"), [("cpu", NAME), (NAME, "cpu")])
+def test_what_was_begun_on_one_device_goes_on_on_the_other(tmp_path, begun, continued):
+    with living_on(begun):
+        first = TrainingRun(configured(tmp_path))
+    with training(first):
+        hand_over(first, range(10))
+        first.log_std(np.zeros((1, 3)), 14, TIMEOUT)
+    saved = load_latest(tmp_path / "run" / "checkpoints")
+    with living_on(continued):
+        again = TrainingRun(configured(tmp_path, resume=True))
+    assert (devices(first), devices(again)) == ({begun}, {continued})
+    tensors, counters = again._learner.state()
+    assert counters["updates"] == 14
+    assert tensors.keys() == saved.tensors.keys()
+    for name, tensor in tensors.items():
+        torch.testing.assert_close(tensor, saved.tensors[name], rtol=0.0, atol=0.0)
+    with training(again) as (_, finished, errors):
+        hand_over(again, range(10, STEPS))
+        assert finished.wait(TIMEOUT)
+        assert not errors
+    assert again.updates == 2 * STEPS

@@ -1,0 +1,71 @@
+"""Runs that learn from small random images, with their training thread going, as the trainer's node has it."""
+
+import threading
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.model.learner import DivergenceError
+
+TIMEOUT = 60.0
+STEPS = 20
+
+
+def configured(root, **session):
+    return Config.from_dict(
+        {
+            "camera": {"width": 45, "height": 45},
+            "training": {"batch_size": 4, "first_update_at": 4, "updates_per_observation": 2, "evaluate_every": 10},
+            "exploration": {"steps": STEPS, "samples": 50, "fresh_samples": 5},
+            "session": {"name": "run", "root": str(root), **session},
+        }
+    )
+
+
+class Training(NamedTuple):
+    """What a training thread tells: its reports, that it has finished, or the error that it has ended with."""
+
+    reports: list
+    finished: threading.Event
+    errors: list
+
+
+def observation(index):
+    """Observation number index, always the same."""
+    random = np.random.default_rng(index)
+    state = random.uniform([0.33, -0.14, -1.9], [0.62, 0.14, 1.9])
+    return index, 0.2 * index, state, random.integers(0, 256, (45, 45, 3), dtype=np.uint8)
+
+
+def hand_over(run, indices):
+    """Let a run have observations."""
+    for index in indices:
+        run.observe(*observation(index))
+
+
+@contextmanager
+def training(run):
+    """The time of a run with its training thread going -> Training; stopped and closed when the block ends."""
+    stop, told = threading.Event(), Training([], threading.Event(), [])
+
+    def train():
+        try:
+            run.train(stop, told.reports.append, told.finished.set)
+        except Exception as error:
+            told.errors.append(error)
+            told.finished.set()
+            if not isinstance(error, DivergenceError):
+                raise
+
+    thread = threading.Thread(target=train)
+    thread.start()
+    try:
+        yield told
+    finally:
+        stop.set()
+        run.wake()
+        thread.join(TIMEOUT)
+        run.close()
+        assert not thread.is_alive()
