@@ -15,8 +15,8 @@ import yaml
 from embodied_active_learning import __version__
 from embodied_active_learning.config import Config, merge
 from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.naming import check_name
 from embodied_active_learning.session import disk
-from embodied_active_learning.session.paths import check_name
 from embodied_active_learning.session.session import Session, check_session, list_sessions
 from embodied_active_learning.session.summary import Summary, read_summary, summarise, write_summary
 

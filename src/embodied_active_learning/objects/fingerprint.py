@@ -11,7 +11,7 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.session.paths import check_name, check_recorded_name
+from embodied_active_learning.naming import check_name, check_recorded_name
 
 if TYPE_CHECKING:
     import torch  # takes a second, which those who need no weights can do without

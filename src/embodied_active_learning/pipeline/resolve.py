@@ -21,7 +21,7 @@ from embodied_active_learning.config import (
 )
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import parse_yaml, shown
-from embodied_active_learning.session.paths import LONGEST_NAME, check_name
+from embodied_active_learning.naming import LONGEST_NAME, check_name
 from embodied_active_learning.session.session import Session, check_session, session_path, session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 from embodied_active_learning.simulation.world import find_world, load_world

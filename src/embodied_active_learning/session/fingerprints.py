@@ -22,13 +22,14 @@ import yaml
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import FileReader, open_plain, shown
+from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, FingerprintSet
 from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import is_leftover, sync_folder, write_bytes, write_text
 from embodied_active_learning.session.checkpoints import load_model, save_model
 from embodied_active_learning.session.description import changed_keys, read_description
 from embodied_active_learning.session.lock import claim
-from embodied_active_learning.session.paths import LOCK_FILE, SessionPaths, check_name, stays_inside
+from embodied_active_learning.session.paths import LOCK_FILE, SessionPaths, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/fingerprints"

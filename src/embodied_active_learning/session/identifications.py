@@ -16,10 +16,11 @@ import torch
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import LARGEST_YAML, FileReader, plain_types
+from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.identification import Decision, Identification
 from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
 from embodied_active_learning.session.checksummed_yaml import check_version, remove_seal, sealed_text
-from embodied_active_learning.session.paths import SessionPaths, check_name, stays_inside
+from embodied_active_learning.session.paths import SessionPaths, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/decisions"

@@ -1,36 +1,16 @@
-"""Names that become files and folders: which are allowed, and where each part of a session lies."""
+"""Where each part of a session is stored below its folder."""
 
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
-from typing import Pattern
 
 from embodied_active_learning.errors import SessionError
-
-LONGEST_NAME = 64
-_LEGAL = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
-_RECORDED = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
-_SHOWN = 80
 
 CONFIG_FILE = "config.yaml"
 LOCK_FILE = ".lock"
 SUMMARY_FILE = "summary.yaml"
 BAGS_FOLDER = "bags"
-
-
-def check_name(name: str, subject: str = "session/name") -> str:
-    """The name, if it is safe as a file name. Raises SessionError that says the rule."""
-    return _check(name, subject, _LEGAL, "'_' and '-'")
-
-
-def check_recorded_name(name: str, subject: str) -> str:
-    """The name of a session as a file tells it: sessions of before were allowed dots. Not for making paths of.
-
-    Raises SessionError that says the rule.
-    """
-    return _check(name, subject, _RECORDED, "'_', '-' and '.'")
 
 
 def stays_inside(folder: Path, path: Path) -> Path:
@@ -39,15 +19,6 @@ def stays_inside(folder: Path, path: Path) -> Path:
     if os.path.commonpath((os.path.realpath(folder), real)) != os.path.realpath(folder):
         raise SessionError(f"{path} leads out of {folder}, to {real}: put what is meant there in place of the link")
     return path
-
-
-def _check(name: str, subject: str, legal: Pattern[str], signs: str) -> str:
-    if not isinstance(name, str) or not legal.fullmatch(name):
-        raise SessionError(
-            f"{subject} is {str(name)[:_SHOWN]!r}: give 1 to {LONGEST_NAME} of a-z, 0-9, {signs}, beginning with a "
-            "letter or a digit"
-        )
-    return name
 
 
 class SessionPaths:

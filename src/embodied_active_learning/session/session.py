@@ -10,6 +10,7 @@ import numpy as np
 
 from embodied_active_learning.config import RECORDED, Config
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.naming import check_name
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import is_leftover, make_folder, remove_file, remove_leftovers
 from embodied_active_learning.session.description import (
@@ -25,7 +26,6 @@ from embodied_active_learning.session.paths import (
     LOCK_FILE,
     SUMMARY_FILE,
     SessionPaths,
-    check_name,
     stays_inside,
 )
 from embodied_active_learning.session.tables import COLUMNS, Table, read_table
