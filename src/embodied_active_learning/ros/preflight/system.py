@@ -31,7 +31,7 @@ from embodied_active_learning.ros.preflight.ros_graph import (
 )
 
 try:
-    from embodied_active_learning.ros import franka_link
+    from embodied_active_learning.ros.arm import franka_interface as franka_link
 
     MISSING = ""
 except ImportError as error:
