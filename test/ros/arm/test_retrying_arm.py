@@ -20,7 +20,7 @@ from embodied_active_learning.errors import (
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.ros.arm import retrying_arm
 from embodied_active_learning.ros.arm.client import Reached
-from embodied_active_learning.ros.conversions import state_message
+from embodied_active_learning.ros.conversions import image_message, state_message
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
 from threads import in_a_thread, wait_for
 
@@ -125,7 +125,7 @@ class Camera:
     def take(self, after):
         if self.failures:
             raise self.failures.pop(0)
-        return after, np.zeros((2, 2, 3), np.uint8), REACHED
+        return image_message(after, np.zeros((2, 2, 3), np.uint8)), REACHED
 
 
 @pytest.fixture
@@ -176,8 +176,8 @@ def test_a_pose_that_was_refused_is_tried_again(arm, guided):
 
 def test_an_image_is_awaited_standing_still(arm, camera, guided):
     camera.failures = [ObservationError("no image")]
-    stamp, image, state = guided.look(REACHED)
-    assert (stamp, image.shape, state) == (REACHED.header.stamp, (2, 2, 3), REACHED)
+    image, state = guided.look(REACHED)
+    assert (image.header.stamp, image.height, image.width, state) == (REACHED.header.stamp, 2, 2, REACHED)
     assert arm.told == [("move", 0.0, 0.0, 0.0)]
     assert guided.held
 

@@ -9,7 +9,7 @@ import rospy
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.ros.camera.posed_camera import PosedCamera
-from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
+from embodied_active_learning.ros.conversions import image_array, image_message, state_arrays, state_message
 
 CAMERA = {"width": 8, "height": 8, "max_age": 0.05}
 HERE, THERE = (0.5, 0.0, 0.0), (0.52, 0.0, 0.0)
@@ -43,7 +43,8 @@ class Scene:
         return self.sees(picture)
 
     def look(self, after=None):
-        return self.camera.take(self.time(after))
+        image, state = self.camera.take(self.time(after))
+        return image.header.stamp, image_array(image, 8, 8), state
 
     def time(self, stamp):
         return rospy.Time.from_sec(self.now if stamp is None else stamp)

@@ -12,6 +12,7 @@ from typing import NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 import rospy
+from sensor_msgs.msg import Image
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import (
@@ -129,8 +130,8 @@ class RetryingArm:
         self._arm.wait()
         wait_until(lambda: self._camera.connected, lambda: "publishers of images and arm states")
 
-    def look(self, reached: PlanarState) -> Tuple[rospy.Time, np.ndarray, PlanarState]:
-        """The first image since a state was reached -> (stamp, image (H, W, 3) uint8, state it was taken from).
+    def look(self, reached: PlanarState) -> Tuple[Image, PlanarState]:
+        """The first image since a state was reached -> (image as published, state it was taken from).
 
         Raises ObservationError or CommandError when patience or tries have ended, and ShutdownRequestedError.
         """

@@ -93,8 +93,8 @@ class ImageBuffer:
             )
         return stamp
 
-    def view(self, state: PlanarState) -> np.ndarray:
-        """The newest image as a view from a state -> (H, W, 3) uint8. Raises ObservationError when it is none."""
+    def view(self, state: PlanarState) -> Image:
+        """The newest image as a view from a state. Raises ObservationError when it is none."""
         array = image_array(self._newest, self._config.height, self._config.width)
         if not np.all(array == array[0, 0]):
             self._require_seen_from(state)
@@ -105,7 +105,7 @@ class ImageBuffer:
                 "plain table, set camera/allow_featureless"
             )
         self._used = self._newest.header.stamp
-        return array
+        return self._newest
 
     def _require_seen_from(self, state: PlanarState) -> None:
         """Raise ObservationError when the newest image is the same as one from another state."""

@@ -6,7 +6,6 @@ import threading
 import time
 from typing import Callable, Optional, Tuple
 
-import numpy as np
 import rospy
 from sensor_msgs.msg import Image
 
@@ -62,11 +61,11 @@ class PosedCamera:
             self._images.add(message, self._clock())
             self._condition.notify_all()
 
-    def take(self, after: rospy.Time) -> Tuple[rospy.Time, np.ndarray, PlanarState]:
+    def take(self, after: rospy.Time) -> Tuple[Image, PlanarState]:
         """The first image taken at or after a time, when a good one comes within camera/max_age of wall time.
 
-        -> (stamp, image (H, W, 3) uint8, state). Raises ObservationError that names what is missing or wrong, and
-        ShutdownRequestedError.
+        -> (image as the camera published it, state at its stamp). Raises ObservationError that names what is missing or
+        wrong, and ShutdownRequestedError.
         """
         give_up_at = time.monotonic() + self._max_age
         with self._condition:
@@ -82,8 +81,8 @@ class PosedCamera:
                         raise
                 self._condition.wait(timeout=min(0.1, max(0.0, give_up_at - time.monotonic())))
 
-    def _pair(self, after: rospy.Time) -> Tuple[rospy.Time, np.ndarray, PlanarState]:
+    def _pair(self, after: rospy.Time) -> Tuple[Image, PlanarState]:
         # The arm's answer may be here before the clock's message.
         stamp = self._images.require_fresh(after, max(self._clock(), after))
         state = self._poses.at(stamp)
-        return stamp, self._images.view(state), state
+        return self._images.view(state), state
