@@ -5,7 +5,7 @@ Like franka_control.launch it runs franka_control, controller_manager and franka
 camera. README.md beside this file tells how to start it, its parameters, and the faults that it can be given.
 """
 
-import embodied_active_learning.ros.runtime.interruptible  # noqa: F401  before all that takes long to import
+import embodied_active_learning.ros.runtime.startup  # noqa: F401  before the slow imports
 
 import importlib
 import os

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""A node that does one thing, named by its first argument, until it is asked to end, or for ever."""
+"""A node whose first argument names the function it runs."""
 
-import embodied_active_learning.ros.runtime.interruptible  # noqa: F401
+import embodied_active_learning.ros.runtime.startup  # noqa: F401
 
 import subprocess
 import sys
@@ -13,13 +13,12 @@ from std_srvs.srv import Trigger
 
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.ros.runtime.diagnostics import Health, report_health
-from embodied_active_learning.ros.runtime.failure import FailureWatch
 from embodied_active_learning.ros.runtime.node import publish, run_node, wait_until
 from embodied_active_learning.ros.runtime.services import RetryingService
 
 
 def compute(_request=None):
-    """Linear algebra that nobody interrupts: each call takes seconds, and there is always another one."""
+    """Run linear algebra for ever; each call takes seconds and cannot be interrupted."""
     rospy.loginfo("computing")
     while True:
         np.linalg.eigvals(np.random.default_rng(0).standard_normal((1200, 1200)))
@@ -46,23 +45,16 @@ def fail():
 
 def wait():
     report_health("stub", lambda: Health(message="working"))
-    wait_until(lambda: False, lambda: "something that never comes")
+    wait_until(lambda: False, lambda: "an event that never happens")
 
 
-def publish_while_its_topics_are_closed():
-    told = rospy.Publisher("told", Empty, queue_size=1)
-    rospy.core.add_preshutdown_hook(lambda _reason: (publish(told, Empty()), rospy.loginfo("published")))
+def publish_while_topics_close():
+    topic = rospy.Publisher("topic", Empty, queue_size=1)
+    rospy.core.add_preshutdown_hook(lambda _reason: (publish(topic, Empty()), rospy.loginfo("published")))
     wait()
 
 
-def go_on_while_the_run_can():
-    failure = FailureWatch(lambda: "no progress")
-    rospy.loginfo("watching")
-    rospy.spin()
-    failure.check()
-
-
-def call_one_who_does_not_answer():
+def call_computing_service():
     RetryingService("compute", Trigger).call(Trigger._request_class())
 
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from embodied_active_learning.pipeline.resolve import resolve
-from embodied_active_learning.ros.runtime.shutdown import children
+from embodied_active_learning.ros.runtime.shutdown import child_processes
 from embodied_active_learning.session.checkpoints import load_latest
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launched, pid_of
@@ -171,7 +171,7 @@ def test_a_planner_ends_in_time_although_the_arm_hangs(run):
 
 def test_z_a_run_that_is_interrupted_leaves_a_checkpoint_and_nothing_else(run):
     processes = {node: run.pid(node) for node in NODES}
-    grandchildren = [child for process in processes.values() for child in children(process)]
+    grandchildren = [child for process in processes.values() for child in child_processes(process)]
     began = time.monotonic()
     run.process.send_signal(signal.SIGINT)
     while not all(map(is_gone, processes.values())):

@@ -63,7 +63,6 @@ CONFIG_PARAMETER = "config"
 # That of a real arm which robot.launch has brought up.
 ARM_CONFIG_PARAMETER = "franka_arm/config"
 FAILURE_PARAMETER = "failure"
-STARTS_PARAMETER = "starts"
 # Kept by the master for a node that is killed and started again; the launch files begin with them empty.
 STOPPED_BY = "~stopped_by"
 PAUSED_BY = "~paused_by"

@@ -245,7 +245,7 @@ def test_an_arm_that_recovers_within_its_tries_has_them_all_again(arm, guided):
 
 def test_tries_come_at_growing_intervals(arm, guided, monkeypatch):
     waits = []
-    monkeypatch.setattr(retrying_arm, "pause", waits.append)
+    monkeypatch.setattr(retrying_arm, "wall_sleep", waits.append)
     monkeypatch.setattr(retrying_arm, "LONGEST_RETRY_PERIOD", 0.05)
     arm.failures = [ArmFailedError("in reflex mode") for _ in range(5)]
     guided.execute(FORWARD)

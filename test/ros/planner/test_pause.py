@@ -31,10 +31,10 @@ class Planner:
 @pytest.fixture
 def planner(monkeypatch):
     planner = Planner()
-    monkeypatch.setattr(pause, "trigger_if_offered", planner.trigger)
-    monkeypatch.setattr(pause, "is_offered", lambda name: planner.is_there)
-    monkeypatch.setattr(pause.persistent_parameters, "recall", lambda name: planner.kept() if planner.kept else "")
-    monkeypatch.setattr(pause.persistent_parameters, "keep", lambda name, text: setattr(planner, "kept", text))
+    monkeypatch.setattr(pause, "trigger_if_advertised", planner.trigger)
+    monkeypatch.setattr(pause, "is_advertised", lambda name: planner.is_there)
+    monkeypatch.setattr(pause.persistent_parameters, "load", lambda name: planner.kept() if planner.kept else "")
+    monkeypatch.setattr(pause.persistent_parameters, "store", lambda name, text: setattr(planner, "kept", text))
     return planner
 
 

@@ -13,7 +13,7 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.error_codes import error_of
 from embodied_active_learning.ros.runtime.node import wait_until
-from embodied_active_learning.ros.runtime.services import HANDLER_FAILED, TRANSPORT_ERRORS, saying_who_is_awaited
+from embodied_active_learning.ros.runtime.services import HANDLER_FAILED, TRANSPORT_ERRORS, log_service_wait
 from embodied_active_learning.srv import GoToPose, MoveArm, RestoreArm
 
 
@@ -54,7 +54,7 @@ class ArmClient:
 
     def stop(self) -> None:
         """Stop now. Raises CommandError when the arm does not confirm."""
-        with saying_who_is_awaited(self._stop.resolved_name):
+        with log_service_wait(self._stop.resolved_name):
             answer = _ask(self._stop)
         if not answer.success:
             raise ArmFailedError(answer.message)
@@ -65,7 +65,7 @@ class ArmClient:
 
 
 def _command(service: Any, *arguments: Any) -> Any:
-    with saying_who_is_awaited(service.resolved_name):
+    with log_service_wait(service.resolved_name):
         answer = _ask(service, *arguments)
     if not answer.success:
         raise error_of(answer.cause, answer.message)

@@ -18,7 +18,7 @@ from embodied_active_learning.errors import RobotError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose, quaternion
 from embodied_active_learning.franka.readiness import CONTROLLER, Controller
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.runtime.services import TRANSPORT_ERRORS, saying_who_is_awaited
+from embodied_active_learning.ros.runtime.services import TRANSPORT_ERRORS, log_service_wait
 
 _RECOVERY_TIMEOUT = 20.0  # s of wall time
 _CANCEL_TIMEOUT = 1.0  # s of wall time for which a recovery that takes too long is waited for when it was called off
@@ -118,7 +118,7 @@ class FrankaInterface:
         """Have the robot recover from its errors; franka_control then starts the controllers anew that were running."""
         if not self._recovery.wait_for_server(rospy.Duration(_SWITCH_TIMEOUT)):
             raise RobotError(f"{rospy.resolve_name(names.FRANKA_RECOVERY)} is not offered: is franka_control running?")
-        with saying_who_is_awaited(rospy.resolve_name(names.FRANKA_RECOVERY)):
+        with log_service_wait(rospy.resolve_name(names.FRANKA_RECOVERY)):
             state = self._recovery.send_goal_and_wait(
                 ErrorRecoveryGoal(), rospy.Duration(_RECOVERY_TIMEOUT), rospy.Duration(_CANCEL_TIMEOUT)
             )
@@ -175,7 +175,7 @@ def _moves(controller: Any) -> bool:
 def _call(name: str, service_class: Any, *arguments: Any, **fields: Any) -> Any:
     resolved = rospy.resolve_name(name)
     try:
-        with saying_who_is_awaited(resolved):
+        with log_service_wait(resolved):
             rospy.wait_for_service(resolved, timeout=_SWITCH_TIMEOUT)
             return rospy.ServiceProxy(resolved, service_class)(*arguments, **fields)
     except TRANSPORT_ERRORS as error:

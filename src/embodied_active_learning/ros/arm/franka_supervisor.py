@@ -14,7 +14,7 @@ from embodied_active_learning.franka.driver import FrankaDriver
 from embodied_active_learning.franka.readiness import CONTROLLER, Condition
 from embodied_active_learning.ros.arm.franka_interface import FrankaInterface, set_stiffness_parameters
 from embodied_active_learning.ros.runtime.timers import WallTimer
-from embodied_active_learning.ros.runtime.wait_log import awaiting
+from embodied_active_learning.ros.runtime.wait_log import log_wait
 
 PERIOD = 0.1
 """Wall seconds between two looks at what is to be done."""
@@ -132,7 +132,7 @@ class FrankaSupervisor:
 
     def _wait_for_rest(self) -> None:
         """An arm that another node has left in motion, until it stands still. Raises RobotError."""
-        with awaiting(lambda: "the arm to come to rest, before its controller is started anew"):
+        with log_wait(lambda: "the arm to come to rest, before its controller is started anew"):
             if not _comes_about(self._driver.is_at_rest):
                 raise RobotError(
                     f"{CONTROLLER} moves the arm, and not for this node: end whatever drives it, then call /arm/recover"
@@ -181,7 +181,7 @@ class FrankaSupervisor:
             time.sleep(PERIOD)
             if not self._driver.why_not_ready():
                 continue
-            with awaiting(lambda: f"the robot: {self._driver.why_not_ready() or 'ready now'}", first_after=1.0):
+            with log_wait(lambda: f"the robot: {self._driver.why_not_ready() or 'ready now'}", delay=1.0):
                 while self._driver.why_not_ready() and not rospy.is_shutdown():
                     time.sleep(PERIOD)
 

@@ -10,7 +10,7 @@ from typing import Callable, Deque, Optional
 
 import rospy
 
-from embodied_active_learning.ros.runtime.node import is_ending
+from embodied_active_learning.ros.runtime.node import is_shutting_down
 
 _KEPT = 1000
 """Calls whose lateness is kept."""
@@ -48,7 +48,7 @@ class RateLoop:
             try:
                 self._function()
             except Exception as error:
-                if not is_ending():
+                if not is_shutting_down():
                     self.failure = error
                     rospy.signal_shutdown(f"no set-points any more: {error!r}")
                 return

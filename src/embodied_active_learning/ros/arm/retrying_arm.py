@@ -30,7 +30,7 @@ from embodied_active_learning.ros.arm.lease import Lease
 from embodied_active_learning.ros.camera.posed_camera import PosedCamera
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
-from embodied_active_learning.ros.runtime.node import pause, wait_until
+from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 
 RETRY_PERIOD = 0.5
 """Wall seconds between two tries; doubled with each failure of the arm in a row ..."""
@@ -239,7 +239,7 @@ class RetryingArm:
                 if self._memory.size and isinstance(error, NoResponseError):
                     self._unanswered = True
                     self._stand_still(str(error))
-                    pause(RETRY_PERIOD)
+                    wall_sleep(RETRY_PERIOD)
                 else:
                     self._bear(error, gives_up_at)
                     command = instead
@@ -319,12 +319,12 @@ class RetryingArm:
             raise error
         self._held = True
         self._stand_still(trouble)
-        pause(max(0.0, min(wait, gives_up_at - time.monotonic())))
+        wall_sleep(max(0.0, min(wait, gives_up_at - time.monotonic())))
 
     def _stand_still(self, trouble: str) -> None:
         """Say what is wrong when it is new, and again every few seconds."""
         if not self._trouble:
-            self._repeats.forget()
-        if self._repeats.is_due(trouble):
+            self._repeats.reset()
+        if self._repeats.should_log(trouble):
             rospy.logwarn("the arm stands still: %s", trouble)
         self._trouble = trouble

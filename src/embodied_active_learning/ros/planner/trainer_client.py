@@ -13,7 +13,7 @@ from embodied_active_learning.msg import Observation
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import states_array
 from embodied_active_learning.ros.runtime.services import RetryingService
-from embodied_active_learning.ros.runtime.wait_log import awaiting
+from embodied_active_learning.ros.runtime.wait_log import log_wait
 from embodied_active_learning.srv import (
     EvaluateEntropy,
     EvaluateEntropyRequest,
@@ -55,7 +55,7 @@ class TrainerClient:
         updates = max(0, awaited - self._config.training.max_lag)
         request = EvaluateEntropyRequest(updates, np.asarray(states).ravel().tolist())
         made = 0
-        with awaiting(lambda: f"the trainer: update {made} of {updates}"):
+        with log_wait(lambda: f"the trainer: update {made} of {updates}"):
             while True:
                 answer = self._entropy.call(request)
                 if not answer.success:

@@ -18,7 +18,7 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.preflight.computer import Peer
 from embodied_active_learning.ros.preflight.topics import Stream
-from embodied_active_learning.ros.runtime.master import silence_at
+from embodied_active_learning.ros.runtime.master import connection_error
 
 KEPT = 30
 """Newest messages of a topic that are kept."""
@@ -52,7 +52,7 @@ def look_for_peers(nodes: Sequence[str]) -> List[Peer]:
         with suppress(rosgraph.MasterException):  # it has ended meanwhile
             uri = master.lookupNode(node)
             host = urlparse(uri).hostname or uri
-            peers.append(Peer(node, host, silence_at(uri), is_local(host)))
+            peers.append(Peer(node, host, connection_error(uri), is_local(host)))
     return peers
 
 

@@ -1,4 +1,4 @@
-"""A node's own account of itself on /diagnostics, once a second of wall time."""
+"""Diagnostic status of a node on /diagnostics at 1 Hz of wall time."""
 
 from __future__ import annotations
 
@@ -10,114 +10,112 @@ from typing import Callable, Deque, Dict, Optional, Tuple
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_updater import Updater
 
-from embodied_active_learning.ros.runtime.timers import REPEAT_AFTER, WallTimer
+from embodied_active_learning.ros.runtime.log_throttle import LOG_PERIOD
+from embodied_active_learning.ros.runtime.timers import WallTimer
 from embodied_active_learning.ros.runtime.wait_log import Wait, longest_wait
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-PERIOD = 1.0
+_PERIOD = 1.0  # s
 
 
 @dataclass
 class Health:
-    """One diagnosis: a level, a sentence and its figures."""
+    """Content of a DiagnosticStatus. `idle` marks a node that has nothing to do, so that waiting is no warning."""
 
     level: int = OK
     message: str = ""
     values: Dict[str, object] = field(default_factory=dict)
-    idle: bool = False  # whether standing idle is what the node is meant to do: then no wait is worth the sentence
+    idle: bool = False
 
 
 def report_health(name: str, health: Callable[[], Health]) -> None:
-    """Publish what health() answers as the diagnosis called name, every second until the node ends.
+    """Publish health(), and what the node is waiting for, at 1 Hz until the node shuts down."""
 
-    What the node is waiting for, if anything, is put in.
-    """
-
-    def fill(status):
-        diagnosis = with_wait(health(), longest_wait())
-        status.summary(diagnosis.level, diagnosis.message)
-        for key, value in diagnosis.values.items():
+    def fill(status: DiagnosticStatus) -> DiagnosticStatus:
+        current = add_wait(health(), longest_wait())
+        status.summary(current.level, current.message)
+        for key, value in current.values.items():
             status.add(key, str(value))
         return status
 
     updater = Updater()
     updater.setHardwareID("none")
     updater.add(name, fill)
-    WallTimer(PERIOD, updater.force_update)
+    WallTimer(_PERIOD, updater.force_update)
 
 
-def with_wait(health: Health, wait: Optional[Wait]) -> Health:
-    """The health of a node that waits: a long wait is its sentence unless there is worse, and soon a warning."""
-    if wait is None or wait.seconds < PERIOD:
+def add_wait(health: Health, wait: Optional[Wait]) -> Health:
+    """Add a wait to the values; it becomes the message of a healthy node, with level WARN after LOG_PERIOD."""
+    if wait is None or wait.seconds < _PERIOD:
         return health
-    waiting = f"{wait.what}, for {wait.seconds:.0f} s now"
-    health = replace(health, values={**health.values, "waiting for": waiting})
+    description = f"{wait.what} (since {wait.seconds:.0f} s)"
+    health = replace(health, values={**health.values, "waiting for": description})
     if health.level > OK or health.idle:
         return health
-    return replace(health, level=WARN if wait.seconds >= REPEAT_AFTER else OK, message=f"waiting for {waiting}")
+    return replace(health, level=WARN if wait.seconds >= LOG_PERIOD else OK, message=f"waiting for {description}")
 
 
 class Rate:
-    """Counts events, and tells how many there were lately in a second of wall time.
+    """Counts events and measures their recent rate.
 
-    diagnostic_updater's FrequencyStatus divides by simulated time, which stands still between two motions.
+    Uses wall time: diagnostic_updater's FrequencyStatus divides by simulated time, which stands still between commands.
     """
 
     def __init__(self, window: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
-        """Window [s]: how far back is looked, over the last 1000 ticks at most."""
+        """Average over the last `window` seconds, and at most 1000 ticks."""
         self._window = window
         self._clock = clock
-        self._ticks: Deque[Tuple[float, int]] = deque(maxlen=1000)  # when, and how many there were by then
+        self._ticks: Deque[Tuple[float, int]] = deque(maxlen=1000)  # time and total count
         self.count = 0
 
     def tick(self, events: int = 1) -> None:
-        """Count events that have just happened."""
+        """Count events that have just occurred."""
         self.count += events
         self._ticks.append((self._clock(), self.count))
 
     @property
     def per_second(self) -> float:
-        """Events per second from the first tick in the window until now."""
+        """Events per second since the first tick in the window."""
         now = self._clock()
-        recent = [(when, count) for when, count in list(self._ticks) if when >= now - self._window]
+        recent = [(stamp, count) for stamp, count in list(self._ticks) if stamp >= now - self._window]
         if len(recent) < 2:
             return 0.0
         return (recent[-1][1] - recent[0][1]) / max(now - recent[0][0], 1e-6)
 
     @property
     def age(self) -> Optional[float]:
-        """Seconds since the last event [s]; None before the first."""
+        """Seconds since the last event; None before the first."""
         return self._clock() - self._ticks[-1][0] if self._ticks else None
 
 
 class Pace:
-    """How fast steps follow each other, and how many took longer than they should."""
+    """Measures the rate of the exploration steps and counts overruns."""
 
-    def __init__(self, longest: float, clock: Callable[[], float] = time.monotonic) -> None:
-        """Longest [s of wall time] that a step should take."""
-        self._longest = longest
+    def __init__(self, max_duration: float, clock: Callable[[], float] = time.monotonic) -> None:
+        """Count a step that takes longer than `max_duration` seconds of wall time as an overrun."""
+        self._max_duration = max_duration
         self._clock = clock
         self._rate = Rate(clock=clock)
-        self._began: Optional[float] = None
+        self._step_began: Optional[float] = None
         self._overruns = 0
         self._last_overrun = 0.0
 
     def step(self) -> None:
-        """Count the end of a step, and with it the beginning of the next."""
+        """Count the end of a step, which is the start of the next."""
         now = self._clock()
-        if self._began is not None and now - self._began > self._longest:
+        if self._step_began is not None and now - self._step_began > self._max_duration:
             self._overruns += 1
-            self._last_overrun = now - self._began
-        self._began = now
+            self._last_overrun = now - self._step_began
+        self._step_began = now
         self._rate.tick()
 
     def interrupt(self) -> None:
-        """The time until the next step does not count: something else was meant to be done in it."""
-        self._began = None
+        """Exclude the current step from the overruns, for example because of a pause."""
+        self._step_began = None
 
     def values(self) -> Dict[str, object]:
-        """Figures for /diagnostics."""
+        """Return the values for /diagnostics."""
         return {
             "steps per second": round(self._rate.per_second, 2),
             "age of the last observation [s]": rounded(self._rate.age),
@@ -127,5 +125,5 @@ class Pace:
 
 
 def rounded(seconds: Optional[float]) -> object:
-    """Seconds as a figure for /diagnostics; a dash for what has not happened yet."""
+    """Round a duration for /diagnostics; None becomes a dash."""
     return "-" if seconds is None else round(seconds, 1)

@@ -1,4 +1,4 @@
-"""What a node does on request, one call at a time."""
+"""A long service call of which only one runs at a time."""
 
 from __future__ import annotations
 
@@ -14,23 +14,27 @@ IDLE = "idle"
 
 
 class ExclusiveTask:
-    """Refuses a second call while one is under way, and knows what is being done for /diagnostics."""
+    """Rejects a second call while one is running, and reports the progress of the running one.
+
+    Attributes:
+        status: what the running call is doing; set by the caller.
+    """
 
     def __init__(self, name: str) -> None:
-        """Name: what is under way during a call, as in "an identification"."""
+        """Name the task in error messages, for example "an identification"."""
         self._name = name
-        self._busy = threading.Lock()
-        self._since = 0.0
+        self._lock = threading.Lock()
+        self._started_at = 0.0
         self._finished = 0
         self._failed = 0
-        self.doing = IDLE
+        self.status = IDLE
 
     @contextmanager
     def call(self) -> Iterator[None]:
-        """The time of one call. Raises BusyError while another one is under way."""
-        if not self._busy.acquire(blocking=False):
-            raise BusyError(f"{self._name} is under way ({self.doing}): wait for its answer")
-        self._since = time.monotonic()
+        """Run one call as the block. Raises BusyError if another one is running."""
+        if not self._lock.acquire(blocking=False):
+            raise BusyError(f"{self._name} is already running ({self.status}): wait until it has finished")
+        self._started_at = time.monotonic()
         try:
             yield
             self._finished += 1
@@ -38,11 +42,11 @@ class ExclusiveTask:
             self._failed += 1
             raise
         finally:
-            self.doing = IDLE
-            self._busy.release()
+            self.status = IDLE
+            self._lock.release()
 
     def health(self, **values: object) -> Health:
-        """What is being done, and for how long; further figures are put behind."""
-        busy = round(time.monotonic() - self._since, 1) if self._busy.locked() else 0.0
-        calls = {"busy for [s]": busy, "calls finished": self._finished, "calls failed": self._failed}
-        return Health(message=self.doing, values={**calls, **values}, idle=not self._busy.locked())
+        """Return status, duration and counts of calls, followed by further values."""
+        running = round(time.monotonic() - self._started_at, 1) if self._lock.locked() else 0.0
+        calls = {"running for [s]": running, "calls finished": self._finished, "calls failed": self._failed}
+        return Health(message=self.status, values={**calls, **values}, idle=not self._lock.locked())

@@ -1,4 +1,4 @@
-"""Saying what stays the case: when it is new, and now and then afterwards."""
+"""Log throttling: on change, then periodically."""
 
 from __future__ import annotations
 
@@ -7,29 +7,33 @@ import threading
 import time
 from typing import Callable
 
-from embodied_active_learning.ros.runtime.timers import REPEAT_AFTER
+LOG_PERIOD = 5.0
+"""Wall seconds after which a lasting condition is logged again."""
 
 
 class LogThrottle:
-    """Tells whether a sentence is due. On wall time, because simulated time stands still while nobody moves the arm."""
+    """Decides whether a message is logged: if it differs from the last one, or once a period has passed.
 
-    def __init__(self, period: float = REPEAT_AFTER, clock: Callable[[], float] = time.monotonic) -> None:
-        """Period [s] after which the same sentence is due again."""
+    Uses wall time, because simulated time stands still between two commands of the arm.
+    """
+
+    def __init__(self, period: float = LOG_PERIOD, clock: Callable[[], float] = time.monotonic) -> None:
+        """Log the same message again after `period` seconds."""
         self._period = period
         self._clock = clock
         self._lock = threading.Lock()
-        self._sentence = ""
-        self._said_at = -math.inf
+        self._message = ""
+        self._logged_at = -math.inf
 
-    def is_due(self, sentence: str) -> bool:
-        """Whether to say it now: it is another one than the last, or that was said long ago."""
+    def should_log(self, message: str) -> bool:
+        """Return whether to log the message now, and count it as logged if so."""
         with self._lock:
-            if sentence == self._sentence and self._clock() < self._said_at + self._period:
+            if message == self._message and self._clock() < self._logged_at + self._period:
                 return False
-            self._sentence, self._said_at = sentence, self._clock()
+            self._message, self._logged_at = message, self._clock()
             return True
 
-    def forget(self) -> None:
-        """Take the next sentence for a new one."""
+    def reset(self) -> None:
+        """Treat the next message as new."""
         with self._lock:
-            self._sentence = ""
+            self._message = ""

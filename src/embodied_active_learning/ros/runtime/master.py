@@ -1,4 +1,4 @@
-"""Whether the ROS master is there, and still knows this node."""
+"""Reachability of the ROS master and of other nodes."""
 
 from __future__ import annotations
 
@@ -13,96 +13,67 @@ from xmlrpc.client import ServerProxy, Transport
 import rosgraph
 import rospy
 
-from embodied_active_learning.ros.runtime.timers import REPEAT_AFTER, WallTimer
-from embodied_active_learning.ros.runtime.wait_log import awaiting
+from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
+from embodied_active_learning.ros.runtime.timers import WallTimer
+from embodied_active_learning.ros.runtime.wait_log import log_wait
 
-PERIOD = 1.0
-"""Wall seconds between two looks."""
-TIMEOUT = 3.0
-"""Wall seconds within which a master answers."""
-
-_NO_ANSWER = (OSError, http.client.HTTPException, XmlRpcError, ExpatError)
-"""What a call of a master can raise; the last one when it dies in the middle of its answer."""
+_PERIOD = 1.0
+"""Wall seconds between two calls of the master."""
+_TIMEOUT = 3.0
+"""Wall seconds within which a master or node answers."""
 
 
-def wait_for_master() -> int:
-    """The ROS master's process number, once it answers; say at once, and again every few seconds, that it does not.
-
-    To be called before init_node: rospy would wait there, too, but holding locks without which it cannot be ended.
-    """
-    uri = rosgraph.get_master_uri()
-    master = ServerProxy(uri, transport=_PunctualTransport())
-    say_at = time.monotonic()
-    while True:
-        try:
-            return int(master.getPid("/waiting")[2])
-        except _NO_ANSWER as error:
-            if time.monotonic() >= say_at:
-                # Not yet by the log, which a node has only when it has begun.
-                sys.stderr.write(f"waiting for the ROS master at {uri}: {error}\n")
-                say_at = time.monotonic() + REPEAT_AFTER
-        time.sleep(0.2)
-
-
-def silence_at(uri: str) -> str:
-    """Why a node, or the master, at an address does not answer; empty when it does."""
+def connection_error(uri: str) -> str:
+    """Return why the XML-RPC server of a master or node does not answer; empty if it does."""
     try:
-        ServerProxy(uri, transport=_PunctualTransport()).getPid("/asking")
-    except _NO_ANSWER as error:
+        ServerProxy(uri, transport=_TimeoutTransport()).getPid("/ping")
+    except (OSError, http.client.HTTPException, XmlRpcError, ExpatError) as error:
         return str(error) or type(error).__name__
     return ""
 
 
-class MasterWatch:
-    """Ends this node when the master was restarted; says so, and waits, while the master cannot be reached.
+def wait_for_master() -> None:
+    """Return once the ROS master answers.
 
-    A master that was restarted knows neither nodes nor parameters: nobody new would find this node, and it would find
-    nobody. A cable that was pulled breaks nothing that is connected.
-
-    Its process number tells, too, because rospy makes a node known again, and no more than that, when it reads a cached
-    parameter of the new master, as it does for the first message on the log. In a container both may have number 1.
+    To be called before init_node, which waits for the master too, but while it holds locks that block its shutdown.
     """
-
-    def __init__(self, pid: int) -> None:
-        self.lost = False
-        self._pid = pid
-        self._uri = rosgraph.get_master_uri()
-        self._master = ServerProxy(self._uri, transport=_PunctualTransport())
-        self._silence = ""
-        WallTimer(PERIOD, self._look)
-
-    def _look(self) -> None:
-        if self._ask():
+    uri, throttle = rosgraph.get_master_uri(), LogThrottle()
+    while True:
+        error = connection_error(uri)
+        if not error:
             return
-        with awaiting(lambda: f"the ROS master at {self._uri}: {self._silence}", first_after=0.0):
-            while not rospy.is_shutdown() and not self._ask():
-                rospy.rostime.wallsleep(PERIOD)
+        message = f"waiting for the ROS master at {uri}: {error}; start it, or correct ROS_MASTER_URI\n"
+        if throttle.should_log(message):
+            sys.stderr.write(message)  # the node has no log yet
+        time.sleep(0.2)
+
+
+class MasterWatch:
+    """Logs, and reports on /diagnostics, that the master cannot be reached, for example because of a pulled cable."""
+
+    def __init__(self) -> None:
+        self._uri = rosgraph.get_master_uri()
+        self._error = ""
+        WallTimer(_PERIOD, self._check)
+
+    def _check(self) -> None:
+        if self._is_reachable():
+            return
+        with log_wait(lambda: f"the ROS master at {self._uri}: {self._error}", delay=0.0):
+            while not rospy.is_shutdown() and not self._is_reachable():
+                rospy.rostime.wallsleep(_PERIOD)
         if not rospy.is_shutdown():
             rospy.loginfo("the ROS master at %s answers again", self._uri)
 
-    def _ask(self) -> bool:
-        """Whether the master has answered; the node is ended when the answer is that it does not know it."""
-        name = rospy.get_name()
-        try:
-            _, _, pid = self._master.getPid(name)
-            code, _, uri = self._master.lookupNode(name, name)
-        except _NO_ANSWER as error:
-            self._silence = str(error) or type(error).__name__
-            return False
-        known = code == 1 and uri == rospy.get_node_uri() and pid == self._pid
-        if not known and not rospy.is_shutdown():
-            self.lost = True
-            reason = f"the ROS master at {self._uri} was restarted and does not know {name} any more"
-            rospy.logfatal("%s", reason)
-            rospy.signal_shutdown(reason)
-        return True
+    def _is_reachable(self) -> bool:
+        self._error = connection_error(self._uri)
+        return not self._error
 
 
-class _PunctualTransport(Transport):
-    """Gives up when there is no answer in time."""
+class _TimeoutTransport(Transport):
+    """XML-RPC transport with a timeout."""
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
-        """A connection with a time limit."""
         connection = super().make_connection(host)
-        connection.timeout = TIMEOUT
+        connection.timeout = _TIMEOUT
         return connection

@@ -1,7 +1,9 @@
-"""How every node begins and ends, reads its configuration, and waits."""
+"""Life cycle of a node: start, configuration, waiting, shutdown."""
 
 from __future__ import annotations
 
+import logging
+import sys
 import time
 from typing import Any, Callable
 
@@ -10,67 +12,77 @@ import rospy
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.runtime.failure import count_start, report_failure
-from embodied_active_learning.ros.runtime.library_log import show_library_log
+from embodied_active_learning.ros.runtime.failure import report_failure
 from embodied_active_learning.ros.runtime.master import MasterWatch, wait_for_master
-from embodied_active_learning.ros.runtime.shutdown import Deadline, ExitCode, leave
-from embodied_active_learning.ros.runtime.wait_log import awaiting
+from embodied_active_learning.ros.runtime.shutdown import ExitCode, ShutdownDeadline, exit_process
+from embodied_active_learning.ros.runtime.wait_log import log_wait
+
+_HELP = "\n\nStart this node with a launch file of the package: it reads its settings from the parameter server."
 
 
 class ShutdownRequestedError(Exception):
-    """The node was asked to end while it was waiting."""
+    """The node was shut down while it was waiting."""
 
 
 def run_node(
     name: str, body: Callable[[Config], None], needs_clock: bool = False, always_required: bool = False
 ) -> None:
-    """Start the node, hand its configuration to body, and exit with one of ExitCode.
+    """Run body(config) as a ROS node, and exit with an ExitCode. `--help` prints the docstring of the node instead.
 
-    needs_clock: wait first, where /use_sim_time is set, until somebody publishes /clock. always_required: the launch
-    ends with this node in any case; another one that gives up leaves its reason for such a node (see FailureWatch).
+    Args:
+        name: default name of the node.
+        body: returns when the node has finished or rospy is shut down.
+        needs_clock: with /use_sim_time, wait for a publisher of /clock first.
+        always_required: the launch always ends with this node, so it need not report a failure to a FailureWatch.
     """
-    deadline = Deadline(name)
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        sys.stdout.write(f"{getattr(body, '__globals__', {}).get('__doc__') or name}{_HELP}\n")
+        sys.exit(ExitCode.SUCCESS)
+    deadline = ShutdownDeadline(name)
     try:
         code = _run(name, body, needs_clock, always_required)
     finally:
         deadline.start()
-    leave(code)
+    exit_process(code)
 
 
 def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool) -> ExitCode:
-    watch = None
     try:
-        master = wait_for_master()
+        wait_for_master()
         rospy.init_node(name)
         show_library_log()
-        watch = MasterWatch(master)
-        count_start()
+        MasterWatch()
         if needs_clock:
             wait_for_clock()
         body(read_config())
     except EmbodiedActiveLearningError as error:
-        if watch is None or not watch.lost:
-            rospy.logfatal("%s", error)
-            if not always_required:
-                report_failure(str(error))
-            rospy.signal_shutdown(str(error))
-            return ExitCode.REFUSED
+        rospy.logfatal("%s", error)
+        if not always_required:
+            report_failure(str(error))
+        rospy.signal_shutdown(str(error))
+        return ExitCode.KNOWN_ERROR
     except ShutdownRequestedError:
         pass
     except rospy.ROSException:
-        # Whoever still publishes while a node ends gets one, too.
-        if not is_ending():
+        if not is_shutting_down():  # else: published to a topic that the shutdown has closed
             raise
-    return ExitCode.MASTER_LOST if watch is not None and watch.lost else ExitCode.ENDED
+    return ExitCode.SUCCESS
+
+
+def show_library_log() -> None:
+    """Pass log records of the library, from INFO on, to the handlers of rospy: terminal, log file and /rosout."""
+    logger = logging.getLogger("embodied_active_learning")
+    logger.handlers = logging.getLogger("rosout").handlers
+    logger.propagate = False
+    logger.setLevel(logging.INFO)
 
 
 def wait_for_clock() -> None:
-    """Where /use_sim_time is set, return once somebody publishes /clock. Raises ShutdownRequestedError."""
-    wait_until(_clock_is_there, lambda: "/clock: /use_sim_time is true but nobody publishes it")
+    """With /use_sim_time, return once /clock has a publisher. Raises ShutdownRequestedError."""
+    wait_until(_has_clock, lambda: "/clock: /use_sim_time is true, but no node publishes it")
 
 
-def _clock_is_there() -> bool:
-    """Whether time passes by a clock that somebody keeps; where it is the computer's own, always."""
+def _has_clock() -> bool:
     if rospy.rostime.is_wallclock() or not rospy.get_rostime().is_zero():
         return True
     topic = rospy.resolve_name("/clock")
@@ -78,53 +90,54 @@ def _clock_is_there() -> bool:
 
 
 def read_config() -> Config:
-    """The configuration that the launch file has put on the parameter server: this node's own, or the system's.
+    """Return the configuration from the node's own parameter, or else from that of its namespace.
 
-    Raises ConfigError.
+    Raises:
+        ConfigError: no configuration on the parameter server, or an invalid one.
     """
     name = rospy.resolve_name(names.CONFIG_PARAMETER)
     values = rospy.get_param(f"~{names.CONFIG_PARAMETER}", None) or rospy.get_param(name, None)
     if values is None:
-        raise ConfigError(f"parameter {name} is not set: start the node from one of the package's launch files")
+        raise ConfigError(f"parameter {name} is not set: start the node with a launch file of the package")
     return Config.from_dict(values)
 
 
 def wait_until(condition: Callable[[], bool], waiting_for: Callable[[], str], period: float = 0.02) -> None:
-    """Return as soon as the condition holds; say what is missing after a second, and again every few seconds.
+    """Return once the condition holds; log what it waits for.
 
-    Waits on wall time, because simulated time stands still while nobody moves the arm. Raises ShutdownRequestedError.
+    Polls on wall time, because simulated time stands still between commands. Raises ShutdownRequestedError.
     """
-    with awaiting(waiting_for, first_after=1.0):
+    with log_wait(waiting_for, delay=1.0):
         while not condition():
             if rospy.is_shutdown():
                 raise ShutdownRequestedError
             time.sleep(period)
 
 
-def pause(seconds: float) -> None:
-    """Let wall time pass. Raises ShutdownRequestedError when the node ends meanwhile."""
+def wall_sleep(seconds: float) -> None:
+    """Sleep for a duration of wall time. Raises ShutdownRequestedError."""
     ends_at = time.monotonic() + seconds
-    wait_until(lambda: time.monotonic() >= ends_at, lambda: f"the next try, every {seconds:g} s")
+    wait_until(lambda: time.monotonic() >= ends_at, lambda: f"the next attempt, every {seconds:g} s")
 
 
 def publish(publisher: rospy.Publisher, message: Any) -> None:
-    """Publish from a callback, which may still be called while the node ends and has closed its topics."""
+    """Publish from a callback, which may run while the shutdown has closed the topic already."""
     try:
         publisher.publish(message)
     except rospy.ROSException:
-        if not is_ending():
+        if not is_shutting_down():
             raise
 
 
-def is_ending() -> bool:
-    """Whether the node has begun to end: rospy closes its topics before is_shutdown() says so."""
+def is_shutting_down() -> bool:
+    """Return whether the shutdown has begun: rospy closes topics before is_shutdown() becomes true."""
     return rospy.core.is_shutdown_requested()
 
 
 def try_to_draw(draw: Callable[..., Any], *arguments: Any) -> Any:
-    """What a drawing function returns; None, and a warning, when it fails: the results it shows are stored already."""
+    """Return draw(*arguments); on any exception log a warning and return None, because results are stored already."""
     try:
         return draw(*arguments)
     except Exception as error:
-        rospy.logwarn("the results are stored, but could not be drawn: %r", error)
+        rospy.logwarn("figure not drawn: %r; the results are stored nevertheless", error)
         return None

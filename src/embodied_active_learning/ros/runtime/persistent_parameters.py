@@ -1,4 +1,4 @@
-"""What has to outlive a node that is killed and started again: a word with the ROS master, for as long as a launch."""
+"""Parameters that keep a node's state on the parameter server across restarts of the node."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import rospy
 
 from embodied_active_learning.ros.runtime.timers import WallTimer
 
-PERIOD = 0.1
-"""Wall seconds within which a change is kept."""
+_PERIOD = 0.1
+"""Wall seconds within which a change is stored."""
 
 
-def recall(name: str) -> str:
-    """The text that was kept under the name of a parameter; empty when there is none."""
+def load(name: str) -> str:
+    """Return the stored text; empty if the parameter is not set."""
     return str(rospy.get_param(name, ""))
 
 
-def keep(name: str, text: Callable[[], str]) -> None:
-    """Keep under the name of a parameter what text() answers, whenever that changes, until the node ends.
+def store(name: str, text: Callable[[], str]) -> None:
+    """Store text() whenever it changes, until the node shuts down.
 
-    A thread of its own does it: a master that hangs must not hold up the one who stops an arm.
+    A separate thread writes it, so that a master that does not answer never delays a stop of the arm.
     """
-    kept = recall(name)
+    stored = load(name)
 
     def update() -> None:
-        nonlocal kept
-        wanted = text()
-        if wanted != kept:
-            rospy.set_param(name, wanted)
-            kept = wanted
+        nonlocal stored
+        current = text()
+        if current != stored:
+            rospy.set_param(name, current)
+            stored = current
 
-    WallTimer(PERIOD, update)
+    WallTimer(_PERIOD, update)

@@ -1,4 +1,4 @@
-"""Calling and offering services: patient calls that say whom they wait for, and handlers that answer errors by name."""
+"""Service clients that retry, and service servers that return errors as responses."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
-from embodied_active_learning.ros.runtime.node import ShutdownRequestedError, is_ending, pause
-from embodied_active_learning.ros.runtime.wait_log import awaiting
+from embodied_active_learning.ros.runtime.node import ShutdownRequestedError, is_shutting_down, wall_sleep
+from embodied_active_learning.ros.runtime.wait_log import log_wait
 
-# What a call raises when the other side is gone: rospy lets the socket's own errors through.
 TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, OSError)
-REFUSED_AGAIN_AFTER = 60.0
-"""Wall seconds after which the log has the same refusal again."""
-_MASTER_PERIOD = 0.5  # s of wall time between two questions to a master that does not answer
-HANDLER_FAILED = "responded with an error"  # rospy's words for an exception in the server's handler
+"""Exceptions of a call whose server is gone; rospy does not wrap those of the socket."""
+HANDLER_FAILED = "responded with an error"
+"""rospy's message for an exception in the server's handler."""
+_REFUSAL_PERIOD = 60.0  # s of wall time: a client that retries may get the same response twice a second for hours
+_MASTER_PERIOD = 0.5  # s of wall time between two calls of a master that does not answer
 
 
 class RetryingService:
-    """A persistent connection to a service whose server may come late, restart or hang.
+    """A persistent service client that waits for its server, also if the server restarts or hangs.
 
-    A call that the server did not answer is made again, so the service must bear being asked twice.
+    A call without a response is repeated, so the service must be idempotent.
     """
 
     def __init__(self, name: str, service_class: Any) -> None:
@@ -36,19 +36,21 @@ class RetryingService:
         self._service_class = service_class
         self._proxy: Any = None
         self._lock = threading.Lock()
-        self._ended = False
-        rospy.on_shutdown(self._end)
+        self._closed = False
+        rospy.on_shutdown(self._close)
 
     def call(self, request: Any) -> Any:
-        """The server's answer, however long it takes.
+        """Return the response, however long it takes.
 
-        Raises ShutdownRequestedError when the node ends first, EmbodiedActiveLearningError when the server fails.
+        Raises:
+            ShutdownRequestedError: the node was shut down meanwhile.
+            EmbodiedActiveLearningError: the server's handler raised an exception.
         """
-        with saying_who_is_awaited(self._name), self._lock:
+        with log_service_wait(self._name), self._lock:
             return self._call(request)
 
     def _call(self, request: Any) -> Any:
-        while not (self._ended or rospy.is_shutdown()):
+        while not (self._closed or rospy.is_shutdown()):
             try:
                 if self._proxy is None:
                     rospy.wait_for_service(self._name, timeout=1.0)
@@ -56,87 +58,84 @@ class RetryingService:
                 return self._proxy(request)
             except TRANSPORT_ERRORS as error:
                 if HANDLER_FAILED in str(error):
-                    raise EmbodiedActiveLearningError(
-                        f"{self._name} failed, the log of its node tells why: {error}"
-                    ) from error
+                    raise EmbodiedActiveLearningError(f"{self._name} failed: {error}; see its node's log") from error
                 rospy.logdebug("%s: %s", self._name, error)
-                self._drop_connection()
+                self._disconnect()
                 time.sleep(0.1)
         raise ShutdownRequestedError
 
-    def _drop_connection(self) -> None:
+    def _disconnect(self) -> None:
         if self._proxy is not None:
             self._proxy.close()
             self._proxy = None
 
-    def _end(self) -> None:
-        """Wake the thread that waits for an answer: no call of a service can be given up otherwise."""
-        self._ended = True
+    def _close(self) -> None:
+        """Interrupt a call by closing its socket; rospy has no other way to cancel one."""
+        self._closed = True
         transport = getattr(self._proxy, "transport", None)
         if transport is not None:
             with suppress(OSError, AttributeError):  # closed meanwhile
                 transport.socket.shutdown(socket.SHUT_RDWR)
 
 
-def is_offered(name: str) -> bool:
-    """Whether a node offers a service of that name, as far as the master knows; one that is away is waited for.
+def is_advertised(name: str) -> bool:
+    """Return whether the master knows a server of the service; wait for a master that does not answer.
 
     Raises ShutdownRequestedError.
     """
     while True:
         try:
             code, _, _ = rospy.get_master().lookupService(rospy.resolve_name(name))
-        except OSError as error:  # MasterWatch says it aloud
-            rospy.logdebug("the ROS master did not answer: %s", error)
-            pause(_MASTER_PERIOD)
+        except OSError as error:  # MasterWatch logs an unreachable master
+            rospy.logdebug("no response of the ROS master: %s", error)
+            wall_sleep(_MASTER_PERIOD)
         else:
             return code == 1
 
 
-def trigger_if_offered(name: str) -> Optional[TriggerResponse]:
-    """Call a std_srvs/Trigger service -> its answer, or None when nobody offers it.
+def trigger_if_advertised(name: str) -> Optional[TriggerResponse]:
+    """Call a std_srvs/Trigger service and return its response, or None if it has no server.
 
-    Raises EmbodiedActiveLearningError when the one who offers it does not answer.
+    Raises EmbodiedActiveLearningError if the server does not respond.
     """
-    if not is_offered(name):
+    if not is_advertised(name):
         return None
     try:
-        with saying_who_is_awaited(rospy.resolve_name(name)):
+        with log_service_wait(rospy.resolve_name(name)):
             return rospy.ServiceProxy(name, Trigger)()
     except TRANSPORT_ERRORS as error:
-        raise EmbodiedActiveLearningError(f"{rospy.resolve_name(name)} did not answer: {error}") from error
+        raise EmbodiedActiveLearningError(f"no response of {rospy.resolve_name(name)}: {error}") from error
 
 
 @contextmanager
-def saying_who_is_awaited(name: str) -> Iterator[None]:
-    """Say every few seconds of wall time that a service has not answered yet, until the block ends."""
-    with awaiting(lambda: f"{name} to answer"):
+def log_service_wait(name: str) -> Iterator[None]:
+    """Log every few seconds, while the block runs, that a service has not responded yet."""
+    with log_wait(lambda: f"a response of {name}"):
         yield
 
 
-def offer_service(
+def advertise_service(
     name: str,
     service_class: Any,
     handler: Callable[[Any], Any],
-    fields_of: Callable[[EmbodiedActiveLearningError], Dict[str, Any]] = lambda _error: {},
+    error_fields: Callable[[EmbodiedActiveLearningError], Dict[str, Any]] = lambda _error: {},
 ) -> rospy.Service:
-    """Offer a service whose handler's named errors become answers with success false and the error's message.
+    """Advertise a service whose handler's EmbodiedActiveLearningErrors become responses with success false.
 
-    fields_of(error) are further fields of such an answer.
+    error_fields(error) returns further fields of such a response.
     """
-    # Who waits for something asks again and again: for hours, it may be, and twice a second.
-    repeats = LogThrottle(REFUSED_AGAIN_AFTER)
+    throttle = LogThrottle(_REFUSAL_PERIOD)
 
-    def answer(request: Any) -> Any:
+    def respond(request: Any) -> Any:
         try:
             return handler(request)
         except EmbodiedActiveLearningError as error:
-            if repeats.is_due(str(error)):
-                rospy.logwarn("%s refused: %s", name, error)
-            return service_class._response_class(success=False, message=str(error), **fields_of(error))
+            if throttle.should_log(str(error)):
+                rospy.logwarn("%s failed: %s", name, error)
+            return service_class._response_class(success=False, message=str(error), **error_fields(error))
         except (ShutdownRequestedError, rospy.ROSException):
-            if not is_ending():
+            if not is_shutting_down():
                 raise
-            return service_class._response_class(success=False, message=f"{rospy.get_name()} is ending")
+            return service_class._response_class(success=False, message=f"{rospy.get_name()} is shutting down")
 
-    return rospy.Service(name, service_class, answer)
+    return rospy.Service(name, service_class, respond)

@@ -1,4 +1,4 @@
-"""How a node ends: in time, whatever it is doing, and with an exit code that tells why."""
+"""Shutdown of a node within a deadline, and its exit code."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from typing import List
 
 import rospy
 
-GRACE = 4.0
-"""Wall seconds that a node has to end by itself. Every file is written atomically, so that nothing breaks after it."""
-_HARDER_AFTER = 0.5  # s after which the kernel ends a process whose interpreter cannot
+TIMEOUT = 4.0
+"""Wall seconds after a signal until the process is ended. All files are written atomically, so this damages none."""
+_KERNEL_TIMEOUT = TIMEOUT + 0.5
+"""Wall seconds after which the kernel ends a process whose interpreter is blocked."""
 
 
 class ExitCode(enum.IntEnum):
-    """Why a node has ended. A signal that cannot be handled gives minus its number, as everywhere."""
+    """Exit codes of the nodes; the kernel adds negative ones for unhandled signals."""
 
-    ENDED = 0  # it has finished, or was asked to end
-    UNFORESEEN = 1  # Python's own, for an error without a name; the traceback is on the log
-    REFUSED = 2  # an error with a name, the last line on the log: the same would happen again
-    MASTER_LOST = 3  # the ROS master was restarted and knows this node no longer
-    OVERDUE = 4  # it was asked to end, did not within GRACE, and was ended
+    SUCCESS = 0  # finished, or ended by SIGINT or SIGTERM
+    UNEXPECTED_ERROR = 1  # with a traceback in the log
+    KNOWN_ERROR = 2  # one of the package's exceptions, whose message is the last line of the log
+    SHUTDOWN_TIMEOUT = 3  # did not end within TIMEOUT after a signal
 
 
-class Deadline:
-    """Ends this process when it has not ended by itself within GRACE after a signal, or after start was called.
+class ShutdownDeadline:
+    """Ends this process if it is still running TIMEOUT seconds after a signal, or after start().
 
-    To be made in the main thread, before anything can hang. A thread learns of SIGINT and SIGTERM as they arrive, also
-    while the main thread is deep in a computation and its own handlers have to wait.
+    Create it in the main thread. Its thread is woken by the signal itself, even while the main thread is blocked in a
+    computation and cannot run its signal handlers.
     """
 
     def __init__(self, name: str) -> None:
@@ -43,32 +43,31 @@ class Deadline:
         os.set_blocking(self._writer, False)
         signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
         rospy.on_shutdown(self.start)
-        threading.Thread(target=self._watch, daemon=True).start()
+        threading.Thread(target=self._run, daemon=True).start()
 
     def start(self) -> None:
-        """Let the time begin; it begins only once."""
+        """Start the countdown, unless it is running already."""
         os.write(self._writer, b"\0")
 
-    def _watch(self) -> None:
+    def _run(self) -> None:
         awaited = {0, int(signal.SIGINT), int(signal.SIGTERM)}
         while os.read(self._reader, 1)[0] not in awaited:
             pass
-        signal.setitimer(signal.ITIMER_REAL, GRACE + _HARDER_AFTER)
-        time.sleep(GRACE)
-        # Not through the log, whose locks the busy threads may hold.
+        signal.setitimer(signal.ITIMER_REAL, _KERNEL_TIMEOUT)
+        time.sleep(TIMEOUT)
+        # Not logged with rospy: a blocked thread may hold the locks of the log.
         name = rospy.get_name() if rospy.core.is_initialized() else self._name
-        os.write(2, f"{name} did not end by itself within {GRACE:g} s and is ended now\n".encode())
-        for child in children(os.getpid()):
+        os.write(2, f"{name}: shutdown timeout: still running after {TIMEOUT:g} s; ending the process\n".encode())
+        for child in child_processes(os.getpid()):
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
-        os._exit(ExitCode.OVERDUE)
+        os._exit(ExitCode.SHUTDOWN_TIMEOUT)
 
 
-def leave(code: ExitCode) -> None:
-    """Exit with everything that was asked for at exit done, but without taking the interpreter apart.
+def exit_process(code: ExitCode) -> None:
+    """Exit after the atexit functions, without finalising the interpreter.
 
-    Threads that still answer a service may be inside a library that would not bear it, and with a few large libraries
-    it takes seconds on a busy machine.
+    Finalising takes seconds with large libraries and can crash threads that still run inside one.
     """
     atexit._run_exitfuncs()
     sys.stdout.flush()
@@ -76,10 +75,10 @@ def leave(code: ExitCode) -> None:
     os._exit(code)
 
 
-def children(process: int) -> List[int]:
-    """The processes that a process, or any thread of it, has started and that still run."""
+def child_processes(process: int) -> List[int]:
+    """Return the running child processes of a process."""
     found: List[int] = []
     for path in Path(f"/proc/{process}/task").glob("*/children"):
-        with suppress(FileNotFoundError, ProcessLookupError):  # of a thread that has ended meanwhile
+        with suppress(FileNotFoundError, ProcessLookupError):  # the thread has ended meanwhile
             found += map(int, path.read_text().split())
     return found

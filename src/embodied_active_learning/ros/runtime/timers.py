@@ -1,41 +1,39 @@
-"""Something done again and again in a thread of its own, on wall time."""
+"""Periodic callbacks on wall time."""
 
 from __future__ import annotations
 
 import threading
-import time
 from typing import Callable
 
 import rospy
 
-REPEAT_AFTER = 5.0
-"""Wall seconds after which a node says again what is still the case."""
+from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
 
 
 class WallTimer:
-    """Calls a function every period of wall time in a thread of its own, until the node ends.
+    """Calls a function every `period` seconds of wall time, in its own thread, until the node shuts down.
 
-    What the function raises is said, every few seconds while it lasts, and does not end the thread.
+    An exception of the function is logged (throttled) and does not end the thread.
     """
 
     def __init__(self, period: float, function: Callable[[], None]) -> None:
         self._period = period
         self._function = function
-        self._ended = threading.Event()
-        self._say_at = 0.0
-        rospy.on_shutdown(self._ended.set)
+        self._shutdown = threading.Event()
+        self._throttle = LogThrottle()
+        rospy.on_shutdown(self._shutdown.set)
         threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        while not self._ended.wait(self._period):
+        while not self._shutdown.wait(self._period):
             try:
                 self._function()
             except Exception as error:
-                self._say(error)
+                self._log(error)
 
-    def _say(self, error: Exception) -> None:
-        # A node that ends closes its topics under the feet of whoever still publishes.
-        if not self._ended.is_set() and time.monotonic() >= self._say_at:
-            what = getattr(self._function, "__qualname__", self._function)
-            rospy.logerr("%s went wrong, and is tried again every %g s: %r", what, self._period, error)
-            self._say_at = time.monotonic() + REPEAT_AFTER
+    def _log(self, error: Exception) -> None:
+        """Log an exception, except those of publishing to a topic that the shutdown has closed."""
+        name = getattr(self._function, "__qualname__", str(self._function))
+        message = f"{name} failed: {error!r}; retrying every {self._period:g} s"
+        if not self._shutdown.is_set() and self._throttle.should_log(message):
+            rospy.logerr("%s", message)

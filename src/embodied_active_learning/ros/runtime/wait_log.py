@@ -1,4 +1,4 @@
-"""What a node is waiting for: said on its log, and told to /diagnostics, from this one place."""
+"""What the node is waiting for: logged periodically and included in its diagnostics."""
 
 from __future__ import annotations
 
@@ -9,81 +9,85 @@ from typing import Callable, Iterator, List, NamedTuple, Optional
 
 import rospy
 
-from embodied_active_learning.ros.runtime.timers import REPEAT_AFTER
+from embodied_active_learning.ros.runtime.log_throttle import LOG_PERIOD
+from embodied_active_learning.ros.runtime.timers import WallTimer
 
-_LOOK_PERIOD = 0.2  # s of wall time between two looks at whether something has to be said
+_CHECK_PERIOD = 0.2  # s of wall time
 
 
 class Wait(NamedTuple):
-    """One thing that is awaited: in words, and for how many seconds of wall time by now."""
+    """Description of a wait and its duration so far [s of wall time]."""
 
     what: str
     seconds: float
 
 
 class _Entry:
-    def __init__(self, what: Callable[[], str], first_after: float) -> None:
-        self.what = what
-        self.since = time.monotonic()
-        self.say_at = self.since + first_after
-        self.said = False
+    """A wait in progress."""
 
-    def say(self) -> None:
-        now = time.monotonic()
-        if now < self.say_at:
+    def __init__(self, describe: Callable[[], str], delay: float) -> None:
+        self._describe = describe
+        self._started = time.monotonic()
+        self._log_at = self._started + delay
+        self._logged = False
+
+    @property
+    def wait(self) -> Wait:
+        return Wait(self._describe(), time.monotonic() - self._started)
+
+    def log_if_due(self) -> None:
+        if time.monotonic() < self._log_at:
             return
-        self.say_at = now + REPEAT_AFTER
-        rospy.loginfo("waiting for %s%s", self.what(), f", for {now - self.since:.0f} s now" if self.said else "")
-        self.said = True
+        self._log_at = time.monotonic() + LOG_PERIOD
+        what, seconds = self.wait
+        rospy.loginfo("waiting for %s%s", what, f" (since {seconds:.0f} s)" if self._logged else "")
+        self._logged = True
 
 
-class _Waits:
-    """All that the threads of this process are waiting for, and a thread that says it."""
+class _WaitLog:
+    """The waits of all threads of this process, oldest first."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._entries: List[_Entry] = []
-        self._thread: Optional[threading.Thread] = None
+        self._timer: Optional[WallTimer] = None
 
     def add(self, entry: _Entry) -> None:
         with self._lock:
             self._entries.append(entry)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._say, daemon=True)
-                self._thread.start()
+            if self._timer is None:
+                self._timer = WallTimer(_CHECK_PERIOD, self._log)
 
     def remove(self, entry: _Entry) -> None:
         with self._lock:
             self._entries.remove(entry)
 
-    def longest(self) -> Optional[_Entry]:
+    def oldest(self) -> Optional[_Entry]:
         with self._lock:
             return self._entries[0] if self._entries else None
 
-    def _say(self) -> None:
-        while not rospy.is_shutdown():
-            time.sleep(_LOOK_PERIOD)
-            with self._lock:
-                entries = list(self._entries)
-            for entry in entries:
-                entry.say()
+    def _log(self) -> None:
+        with self._lock:
+            entries = list(self._entries)
+        for entry in entries:
+            entry.log_if_due()
 
 
-_WAITS = _Waits()
+_WAIT_LOG = _WaitLog()
 
 
 @contextmanager
-def awaiting(what: Callable[[], str], first_after: float = REPEAT_AFTER) -> Iterator[None]:
-    """The time of a wait: what() is said after first_after seconds of wall time, and again every few seconds."""
-    entry = _Entry(what, first_after)
-    _WAITS.add(entry)
+def log_wait(what: Callable[[], str], delay: float = LOG_PERIOD) -> Iterator[None]:
+    """Log what() every few seconds while the block runs, first after `delay` seconds of wall time."""
+    entry = _Entry(what, delay)
+    _WAIT_LOG.add(entry)
     try:
         yield
     finally:
-        _WAITS.remove(entry)
+        _WAIT_LOG.remove(entry)
 
 
 def longest_wait() -> Optional[Wait]:
-    """What this node has been waiting for longest; None when it waits for nothing."""
-    entry = _WAITS.longest()
-    return None if entry is None else Wait(entry.what(), time.monotonic() - entry.since)
+    """Return the longest wait in progress, or None."""
+    entry = _WAIT_LOG.oldest()
+    return None if entry is None else entry.wait
