@@ -1,114 +1,35 @@
-"""The whole configuration as frozen dataclasses: defaults (the paper's), units, legal values, and loading from YAML.
+"""The configuration of a run as frozen dataclasses, and the profiles that fill them.
 
-Every value lives here once; the profiles in config/, the README's parameter table and the ROS parameters derive
-from it.
+Units, ranges, legal values and defaults are declared here only: config/default.yaml, docs/parameters.md and the ROS
+parameters derive from this module.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, Iterator, Optional, Sequence, Tuple
+from typing import Any, Dict, Optional, Tuple
 
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.workspace import STATE_NAMES, Workspace
-
-_PROFILE_READER = FileReader(
-    ConfigError, "give the path of a profile, sections of keys as in config/paper.yaml", follow=True
+from embodied_active_learning.hardware_config import (
+    REAL,
+    RECORDED,
+    SIMULATED,
+    ArmConfig,
+    CameraConfig,
+    FrankaConfig,
+    SimulationConfig,
+    WorkspaceConfig,
 )
-_FRANKA_LENGTHS = {
-    "camera_position": 3,
-    "camera_rotation": 3,
-    "torque_limits": 7,
-    "force_limits": 6,
-    "load_centre": 3,
-    "load_inertia": 3,
-}
-_LONGEST_KEY = 80  # characters of an unknown key that are looked at and told
-EXPLORERS = ("ergodic", "random_walk", "uniform", "uniform_ergodic")
-SIMULATED, REAL, RECORDED = ROBOTS = ("pybullet", "franka", "recording")
+from embodied_active_learning.registry import EXPLORERS
+from embodied_active_learning.schema import build, check_keys, nearest, setting, to_plain
+from embodied_active_learning.workspace import STATE_NAMES
 
-
-def setting(
-    default: Any,
-    meaning: str,
-    unit: str = "",
-    low: float = -math.inf,
-    high: float = math.inf,
-    choices: Sequence[str] = (),
-) -> Any:
-    """A dataclass field that knows its unit, meaning and legal values. Numbers must lie in [low, high]."""
-    metadata = {"meaning": meaning, "unit": unit, "low": low, "high": high, "choices": tuple(choices)}
-    return field(default=default, metadata=metadata)
-
-
-@dataclass(frozen=True)
-class WorkspaceConfig:
-    """Where the camera may go, in the base frame."""
-
-    x: Tuple[float, ...] = setting((0.325, 0.625), "limits of the camera's x", "m", -2.0, 2.0)
-    y: Tuple[float, ...] = setting((-0.15, 0.15), "limits of the camera's y", "m", -2.0, 2.0)
-    theta: Tuple[float, ...] = setting((-2.0, 2.0), "limits of the camera's yaw", "rad", -math.pi, math.pi)
-
-    def box(self) -> Workspace:
-        """The limits as a Workspace. Raises ConfigError when they are out of order."""
-        limits = (self.x, self.y, self.theta)
-        for name, pair in zip(STATE_NAMES, limits):
-            if len(pair) != 2:
-                raise ConfigError(f"workspace/{name} has {len(pair)} numbers: give [lower, upper]")
-        return Workspace(lower=tuple(pair[0] for pair in limits), upper=tuple(pair[1] for pair in limits))
-
-
-@dataclass(frozen=True)
-class CameraConfig:
-    """The wrist camera: what an image must look like, and where it is taken from."""
-
-    width: int = setting(180, "image width", "px", 8, 4096)
-    height: int = setting(180, "image height", "px", 8, 4096)
-    field_of_view: float = setting(30.0, "vertical field of view", "deg", 1.0, 150.0)
-    distance: float = setting(0.3, "height of the camera above the table", "m", 0.05, 2.0)
-    max_age: float = setting(
-        1.0,
-        "time without a new image, and age of image or pose, beyond which the arm is held still",
-        "s",
-        0.05,
-        60.0,
-    )
-    allow_featureless: bool = setting(
-        False, "accept images of one single colour, as of a plain table without noise; else the arm is held still"
-    )
-
-
-@dataclass(frozen=True)
-class ArmConfig:
-    """Which arm it is, and the limits that the node in front of it keeps, whoever commands it."""
-
-    robot: str = setting(
-        SIMULATED,
-        "whose images and poses these are: the simulated arm's, a Panda's under franka_ros, or recorded ones",
-        "",
-        choices=ROBOTS,
-    )
-    max_speed: float = setting(0.15, "limit of the camera's speed along each of x and y", "m/s", 0.001, 1.0)
-    max_turn_rate: float = setting(1.5, "limit of the camera's yaw rate", "rad/s", 0.001, 2.6)
-    # So much on every axis at once takes four fifths of what a Panda's second joint can do (7.5 rad/s^2), and less of
-    # the others', all over the default workspace. Top speed is reached, and lost, within 0.15 s.
-    max_acceleration: float = setting(
-        1.2, "limit of the change of the camera's speed along each of x and y", "m/s^2", 0.1, 13.0
-    )
-    max_turn_acceleration: float = setting(10.0, "limit of the change of the camera's yaw rate", "rad/s^2", 0.1, 25.0)
-    max_duration: float = setting(1.0, "longest time that one velocity may be held", "s", 0.01, 10.0)
-    commander_timeout: float = setting(
-        5.0, "wall time after its last sign of life for which a commander keeps the arm to itself", "s", 0.1, 600.0
-    )
-    retries: int = setting(
-        5, "how often in a row commands that fail are tried again, with growing pauses, before giving up", "", 0, 100
-    )
+__all__ = ["REAL", "RECORDED", "SIMULATED", "ArmConfig", "CameraConfig", "FrankaConfig", "WorkspaceConfig"]
+_DIMENSIONS = len(STATE_NAMES)
+_PROFILE_READER = FileReader(ConfigError, "a profile has sections of keys as in config/paper.yaml", follow=True)
 
 
 @dataclass(frozen=True)
@@ -117,11 +38,16 @@ class ModelConfig:
 
     latent_size: int = setting(16, "number of latent variables", "", 1, 1024)
     hidden_sizes: Tuple[int, ...] = setting(
-        (512, 256), "encoder's fully connected layers; the decoder mirrors them", "", 1, 8192
+        (512, 256), "fully connected layers of the encoder, mirrored by the decoder", "", 1, 8192
     )
     channels: Tuple[int, ...] = setting((10, 10, 20), "filters of the convolutions", "", 1, 512)
     kernels: Tuple[int, ...] = setting((3, 3, 5), "kernel sizes of the convolutions", "px", 1, 31)
     strides: Tuple[int, ...] = setting((2, 2, 3), "strides of the convolutions", "px", 1, 31)
+
+    def __post_init__(self) -> None:
+        """Check that each convolution has filters, a kernel and a stride."""
+        if not len(self.channels) == len(self.kernels) == len(self.strides):
+            raise ConfigError("channels, kernels and strides differ in length: give one number per convolution")
 
 
 @dataclass(frozen=True)
@@ -131,65 +57,55 @@ class ObjectiveConfig:
     chi: float = setting(
         4.0, "scale of the latent regularisation: log10 beta = -log10(min h / max h) - chi", "", 0.0, 20.0
     )
-    beta_max: float = setting(0.01, "upper clamp of beta", "", 0.0, 1e6)
-    gamma_weight: float = setting(
-        0.1, "gamma is this times the workspace coverage k; 0 switches the term off", "", 0.0, 100.0
-    )
-    schedule_every: int = setting(25, "updates between two evaluations of beta and gamma", "updates", 1, 100000)
-    schedule_window: int = setting(25, "evaluations over which beta and gamma are averaged", "", 1, 100000)
+    beta_max: float = setting(0.01, "upper limit of beta", "", 0.0, 1e6)
+    gamma_weight: float = setting(0.1, "gamma divided by the workspace coverage k; 0 disables the term", "", 0.0, 100.0)
+    schedule_every: int = setting(25, "interval between evaluations of beta and gamma", "updates", 1, 100000)
+    schedule_window: int = setting(25, "evaluations in the moving average of beta and gamma", "", 1, 100000)
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
     """Online training (paper, appendix)."""
 
-    batch_size: int = setting(64, "observations of a mini-batch", "", 1, 65536)
+    batch_size: int = setting(64, "observations in a mini-batch", "", 1, 65536)
     learning_rate: float = setting(1e-3, "learning rate of Adam", "", 1e-8, 1.0)
-    first_update_at: int = setting(64, "observations before learning starts", "", 1, 1000000)
+    first_update_at: int = setting(64, "observations before the first update", "", 1, 1000000)
     start_at_mean_colour: bool = setting(
-        True, "the decoder starts at the first observations' mean colour instead of black, and learns sooner"
+        True, "initialise the decoder's output with the mean colour of the first observations instead of black"
     )
-    updates_per_observation: int = setting(3, "model updates for each observation", "", 0, 1000)
+    updates_per_observation: int = setting(3, "model updates per observation", "", 0, 1000)
     max_lag: int = setting(
-        0,
-        "updates that the trainer may be behind before the planner waits; at 0 one seed gives one result",
-        "updates",
-        0,
-        1000000,
+        0, "pending updates up to which the planner does not wait for the trainer; 0 is lock-step", "updates", 0, 10**6
     )
-    device: str = setting("auto", "where the model lives", "", choices=("auto", "cpu", "cuda"))
-    threads: int = setting(0, "CPU threads of the trainer; 0 takes every core", "", 0, 1024)
-    active_unit_threshold: float = setting(
-        0.01, "variance of a latent mean above which the unit is active", "", 0.0, 100.0
-    )
-    evaluate_every: int = setting(300, "updates between two evaluations on a fixed subset", "updates", 1, 1000000)
-    evaluation_size: int = setting(256, "observations of the fixed subset", "", 2, 65536)
-    checkpoint_every: int = setting(600, "updates between two checkpoints", "updates", 1, 1000000)
-    checkpoints_kept: int = setting(2, "checkpoints kept", "", 1, 1000)
+    device: str = setting("auto", "device of the model", choices=("auto", "cpu", "cuda"))
+    threads: int = setting(0, "CPU threads of the trainer; 0 uses all cores", "", 0, 1024)
+    active_unit_threshold: float = setting(0.01, "variance of a latent mean that makes a unit active", "", 0.0, 100.0)
+    evaluate_every: int = setting(300, "interval between evaluations on a fixed subset", "updates", 1, 1000000)
+    evaluation_size: int = setting(256, "observations in the fixed subset", "", 2, 65536)
+    checkpoint_every: int = setting(600, "interval between checkpoints", "updates", 1, 1000000)
+    checkpoints_kept: int = setting(2, "number of checkpoints kept", "", 1, 1000)
 
 
 @dataclass(frozen=True)
 class ExplorationConfig:
-    """What is explored, for how long, and against which samples coverage is measured."""
+    """The exploration, and the samples that measure coverage."""
 
-    explorer: str = setting("ergodic", "how the arm explores", "", choices=EXPLORERS)
+    explorer: str = setting("ergodic", "exploration strategy", choices=EXPLORERS)
     steps: int = setting(3000, "exploration steps, one observation each", "", 1, 1000000)
-    seed: int = setting(0, "seed of every random draw", "", 0, 2**31 - 1)
-    step_duration: float = setting(0.2, "time between two observations", "s", 0.01, 10.0)
+    seed: int = setting(0, "random seed", "", 0, 2**31 - 1)
+    step_duration: float = setting(0.2, "time between observations", "s", 0.01, 10.0)
     samples: int = setting(1000, "workspace samples S", "", 10, 100000)
-    fresh_samples: int = setting(100, "samples drawn anew at each step", "", 0, 100000)
-    sample_box: float = setting(
-        1.0, "size of the box the samples are drawn in, in workspaces; the authors take 1.15", "", 1.0, 2.0
-    )
+    fresh_samples: int = setting(100, "samples redrawn at each step", "", 0, 100000)
+    sample_box: float = setting(1.0, "size of the sampled box, relative to the workspace", "", 1.0, 2.0)
     kernel_variance: float = setting(
         0.0,
-        "variance of the coverage kernel in normalised units; 0 takes the authors' rule, 0.0576 for S = 1000",
+        "variance of the coverage kernel, normalised units; 0: rule of the authors' code, 0.0576 at S = 1000",
         "",
-        0.0,
-        4.0,
+        0,
+        4,
     )
     authors_coverage: bool = setting(
-        False, "workspace coverage as the authors' controller has it: divided by its maximum, 1 outside the workspace"
+        False, "coverage as in the authors' controller: divided by its maximum, 1 outside the workspace"
     )
 
 
@@ -198,215 +114,118 @@ class PlannerConfig:
     """KL-ergodic receding-horizon control (paper, Sec. 2.3)."""
 
     horizon: int = setting(10, "planned steps", "", 2, 200)
-    iterations: int = setting(3, "improvements of the plan per step", "", 1, 100)
-    control_weight: float = setting(10.0, "weight R of the control in the adjoint update", "", 1e-6, 1e9)
-    acceleration_limit: float = setting(1.0, "limit of the control, in velocity units per second", "", 1e-3, 100.0)
+    iterations: int = setting(3, "plan improvements per step", "", 1, 100)
+    control_weight: float = setting(10.0, "control weight R in the adjoint update", "", 1e-6, 1e9)
+    acceleration_limit: float = setting(1.0, "control limit, velocity units per second", "", 1e-3, 100.0)
     velocity_limits: Tuple[float, ...] = setting(
         (1.25, 1.25, 0.625),
-        "velocity of each axis, in the controller's units, at the arm's highest speed",
+        "velocity of each axis at the arm's top speed, in the controller's units",
         "",
         1e-3,
         100.0,
+        length=_DIMENSIONS,
     )
     barrier_weight: float = setting(5.0, "weight of the barrier", "", 0.0, 1e6)
     barrier_power: float = setting(4.0, "power of the barrier", "", 1.0, 10.0)
-    barrier_margin: float = setting(0.1, "distance from a limit at which the barrier begins, normalised", "", 0.0, 0.9)
-    random_candidates: int = setting(8, "random two-segment plans compared at each step", "", 0, 1000)
-    normalise_kernels: bool = setting(
-        True, "divide each kernel by its mass inside the workspace, so that parking in a corner costs"
-    )
+    barrier_margin: float = setting(0.1, "normalised distance from a limit where the barrier begins", "", 0.0, 0.9)
+    random_candidates: int = setting(8, "random two-segment plans that compete at each step", "", 0, 1000)
+    normalise_kernels: bool = setting(True, "divide each kernel by its mass inside the workspace")
     measured_velocity_weight: float = setting(
-        0.5, "how much of the velocity tracking error the plan takes over", "", 0.0, 1.0
+        0.5, "share of the velocity tracking error that is fed back into the plan", "", 0.0, 1.0
     )
 
 
 @dataclass(frozen=True)
 class FingerprintConfig:
-    """How learned objects are found in the conditional entropy, and looked at (paper, appendix)."""
+    """Detection of learned objects in the conditional entropy, and their views (paper, appendix)."""
 
     clustering: str = setting(
         "table",
-        "what is clustered: points of the table that stand out in the views that are hard to predict, or, as in the "
-        "paper, the camera's own positions; those need a bandwidth of 0.09 m",
-        "",
+        "what is clustered: salient table points, or camera positions (paper; needs a bandwidth near 0.09 m)",
         choices=("table", "camera"),
     )
     latents: int = setting(10, "latents over which the predicted standard deviation is averaged", "", 1, 1000)
     samples: int = setting(1000, "importance samples of the conditional entropy", "", 50, 100000)
-    exponent: float = setting(3.0, "power of the standard deviation in the weight of a sample", "", 0.1, 20.0)
+    exponent: float = setting(3.0, "exponent of the standard deviation in the sample weights", "", 0.1, 20.0)
     bandwidth: float = setting(0.045, "bandwidth of mean-shift clustering", "m", 0.005, 0.5)
-    min_share: float = setting(0.05, "share of the samples that a cluster needs to be an object", "", 0.0, 1.0)
-    merge_distance: float = setting(0.05, "distance below which two centres are one object", "m", 0.0, 0.5)
+    min_share: float = setting(0.05, "smallest share of the samples in a cluster that is an object", "", 0.0, 1.0)
+    merge_distance: float = setting(0.05, "distance below which two centres are merged", "m", 0.0, 0.5)
     min_contrast: float = setting(
-        2.0, "largest over smallest predicted standard deviation below which there is nothing to find", "", 1.0, 100.0
+        2.0, "smallest ratio of largest to smallest predicted standard deviation with objects", "", 1.0, 100.0
     )
     views: int = setting(50, "views of each object", "", 2, 1000)
-    view_std: float = setting(0.015, "standard deviation of the views around the centre, in x and in y", "m", 1e-3, 0.5)
+    view_std: float = setting(0.015, "standard deviation of the views around the centre, in x and y", "m", 1e-3, 0.5)
     view_yaw_std: float = setting(2.8, "standard deviation of the views' yaw", "rad", 0.01, 100.0)
-    view_box: float = setting(0.06, "farthest that a view is from the centre, in x and in y", "m", 0.005, 0.5)
-    steps_per_view: int = setting(3, "steps of the arm for each view that is kept", "", 1, 100)
+    view_box: float = setting(0.06, "largest distance of a view from the centre, in x and y", "m", 0.005, 0.5)
+    steps_per_view: int = setting(3, "arm steps per view kept", "", 1, 100)
     min_view_distance: float = setting(
-        0.002, "a view is a duplicate when another one is closer than this and turned less than ...", "m", 0.0, 0.1
+        0.002, "views closer than this, and than min_view_turn, are duplicates", "m", 0.0, 0.1
     )
-    min_view_turn: float = setting(0.05, "... this", "rad", 0.0, 3.0)
+    min_view_turn: float = setting(0.05, "smallest yaw between two views at one place", "rad", 0.0, 3.0)
 
 
 @dataclass(frozen=True)
 class IdentificationConfig:
-    """How fingerprints are found again (paper, appendix), and when one counts as found."""
+    """Search for fingerprints in new images (paper, appendix), and the decision whether one is found."""
 
     features: str = setting(
         "latents",
-        "what stored and new views are compared by; pixels, 30 x 30, is the baseline without a model",
-        "",
+        "features that are compared: latents of the model, or 30 x 30 pixels as a baseline without a model",
         choices=("latents", "pixels"),
     )
     decision: str = setting(
         "verified",
-        "when a fingerprint is found: verified asks the views of each candidate whether they agree; belief asks that "
-        "the mean belief exceeds min_belief",
-        "",
+        "criterion: agreement of the views of each candidate (verified), or mean belief above min_belief (belief)",
         choices=("verified", "belief"),
     )
     evidence: str = setting(
         "tempered",
-        "weight of an image: tempered shares it among the images from one place; counted takes each as independent",
-        "",
+        "weight of an image: shared among the images from one place (tempered), or 1 each (counted)",
         choices=("tempered", "counted"),
     )
-    independence_distance: float = setting(0.01, "distance over which two images are nearly the same", "m", 1e-4, 1.0)
-    independence_turn: float = setting(0.2, "turn over which two images are nearly the same", "rad", 1e-3, 10.0)
-    near_variance: float = setting(0.156, "variance of a measurement at the place it points to", "", 1e-6, 1e6)
+    independence_distance: float = setting(0.01, "distance at which two images count as independent", "m", 1e-4, 1.0)
+    independence_turn: float = setting(0.2, "yaw at which two images count as independent", "rad", 1e-3, 10.0)
+    near_variance: float = setting(0.156, "variance of a measurement at the place it refers to", "", 1e-6, 1e6)
     far_pull: float = setting(
         0.02,
-        "information of a measurement about cells far from the place it points to, relative to that place; it draws "
-        "unseen cells to the mean of all measurements",
+        "information of a measurement about distant cells, relative to its own place; pulls unseen cells to the mean",
         "",
         1e-6,
         1.0,
     )
-    kernel_std: float = setting(0.042, "standard deviation of a measurement's footprint, in x and in y", "m", 1e-3, 0.5)
+    kernel_std: float = setting(0.042, "standard deviation of a measurement's footprint in x and y", "m", 1e-3, 0.5)
     kernel_yaw_std: float = setting(0.56, "standard deviation of a measurement's footprint in yaw", "rad", 0.01, 10.0)
-    cells: Tuple[int, ...] = setting((40, 40, 18), "cells of a belief grid in x, y and yaw", "", 4, 500)
-    margin: float = setting(0.0225, "how far the belief grid reaches beyond the workspace", "m", 0.0, 0.5)
-    candidates: int = setting(12, "peaks of a belief that are looked at", "", 1, 1000)
-    separation: float = setting(0.06, "closest that two objects are taken to lie", "m", 0.005, 1.0)
-    min_belief: float = setting(0.5, "mean belief that the decision 'belief' asks for", "", 0.0, 1.0)
-    residual_limit: float = setting(
-        0.065, "largest residual, either way, of a view that agrees with the fingerprint; 1 is white", "", 0.0, 1.0
+    cells: Tuple[int, ...] = setting(
+        (40, 40, 18), "cells of a belief grid in x, y and yaw", "", 4, 500, length=_DIMENSIONS
     )
+    margin: float = setting(0.0225, "extent of the belief grid beyond the workspace", "m", 0.0, 0.5)
+    candidates: int = setting(12, "largest number of candidates (peaks of a belief)", "", 1, 1000)
+    separation: float = setting(0.06, "smallest distance between two objects", "m", 0.005, 1.0)
+    min_belief: float = setting(0.5, "smallest mean belief of an object found by decision: belief", "", 0.0, 1.0)
+    residual_limit: float = setting(0.065, "largest residual of an agreeing view; 1 is white", "", 0.0, 1.0)
     agreement_distance: float = setting(
-        0.02, "farthest from the candidate that a view that agrees may point to", "m", 0.001, 0.5
+        0.02, "largest distance from the candidate to the place an agreeing view points to", "m", 0.001, 0.5
     )
-    min_agreement: float = setting(0.55, "share of the compared views that must agree", "", 0.0, 1.0)
-    min_prominence: float = setting(
-        0.01,
-        "how far the belief at an object must rise above the median of its grid: over bare table it hardly does",
-        "",
-        0.0,
-        1.0,
-    )
-    object_radius: float = setting(0.045, "part of the table around a candidate that is compared", "m", 0.005, 0.5)
-    view_distance: float = setting(0.04, "farthest that a view of a candidate is from it", "m", 0.005, 0.5)
-    views: int = setting(30, "views of a candidate that are compared, at most", "", 1, 1000)
-    min_views: int = setting(5, "views of a candidate without which nothing is decided", "", 1, 1000)
+    min_agreement: float = setting(0.55, "smallest share of agreeing views", "", 0.0, 1.0)
+    min_prominence: float = setting(0.01, "smallest prominence of a candidate above the median belief", "", 0.0, 1.0)
+    object_radius: float = setting(0.045, "radius around a candidate that is compared", "m", 0.005, 0.5)
+    view_distance: float = setting(0.04, "largest distance of a compared view from the candidate", "m", 0.005, 0.5)
+    views: int = setting(30, "largest number of compared views of a candidate", "", 1, 1000)
+    min_views: int = setting(5, "smallest number of views for a decision", "", 1, 1000)
 
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """Where the run is kept."""
+    """The folder of the run."""
 
-    name: str = setting("", "name of the session folder; empty makes one of world, explorer, seed and time")
-    root: str = setting("~/.ros/embodied_active_learning", "folder that holds the sessions")
+    name: str = setting("", "name of the session folder; empty: made of world, explorer, seed and time")
+    root: str = setting("~/.ros/embodied_active_learning", "folder of all sessions")
     resume: bool = setting(False, "continue the session of that name")
 
 
 @dataclass(frozen=True)
-class SimulationConfig:
-    """The PyBullet stand-in."""
-
-    world: str = setting("diagonal", "name of a world in worlds/, or the path of a YAML file")
-    physics_rate: int = setting(240, "physics steps per second", "Hz", 60, 2000)
-    start: Tuple[float, ...] = setting((0.475, 0.0, 0.0), "pose at the start: x, y, theta", "m, m, rad", -4.0, 4.0)
-
-
-@dataclass(frozen=True)
-class FrankaConfig:
-    """A real Panda under franka_ros: what differs from lab to lab, and what the arm may feel and do by itself."""
-
-    table_height: float = setting(0.0, "height of the table's surface in the base frame", "m", -1.0, 1.0)
-    camera_position: Tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "optical centre of the camera in the robot's end effector frame (EE)", "m", -0.5, 0.5
-    )
-    camera_rotation: Tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0),
-        "camera_optical_frame in the end effector frame: roll, pitch, yaw about fixed axes",
-        "rad",
-        -math.pi,
-        math.pi,
-    )
-    rate: float = setting(100.0, "set-points per second that are sent to the impedance controller", "Hz", 20.0, 500.0)
-    max_lead: float = setting(
-        0.05, "farthest that a set-point is ahead of the measured pose, along each of x, y and z", "m", 0.005, 0.1
-    )
-    max_turn_lead: float = setting(0.3, "farthest that a set-point is turned ahead of it", "rad", 0.02, 0.6)
-    max_height_error: float = setting(
-        0.03, "farthest that the camera may be above or below its height when motion begins", "m", 0.001, 0.2
-    )
-    max_tilt: float = setting(
-        0.15, "farthest that the camera may look away from straight down when motion begins", "rad", 0.005, 0.5
-    )
-    max_outside: float = setting(
-        0.1, "farthest outside of the workspace, along x or y, from where the camera is led back into it", "m", 0.0, 1.0
-    )
-    max_turn_outside: float = setting(0.5, "farthest outside of the workspace in yaw", "rad", 0.0, math.pi)
-    tolerance: float = setting(
-        0.015, "farthest that the camera may come to rest from where it was to go; friction is why", "m", 0.001, 0.1
-    )
-    turn_tolerance: float = setting(
-        0.1, "farthest in yaw that it may come to rest from where it was to go", "rad", 0.005, 0.5
-    )
-    stiffness: float = setting(200.0, "translational stiffness of the impedance controller", "N/m", 50.0, 400.0)
-    turn_stiffness: float = setting(10.0, "rotational stiffness of the impedance controller", "Nm/rad", 2.0, 30.0)
-    state_max_age: float = setting(
-        0.2, "age of the robot's state beyond which the arm is held where it was seen last", "s", 0.02, 2.0
-    )
-    coast: float = setting(
-        0.2, "time after a move for which its velocity is kept for the next one, before the arm brakes", "s", 0.0, 1.0
-    )
-    recoveries: int = setting(
-        3,
-        "reflexes in a row after which the arm recovers by itself; then a person has to call /arm/recover",
-        "",
-        0,
-        100,
-    )
-    torque_limits: Tuple[float, ...] = setting(
-        (20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0),
-        "external torque of each joint above which a collision reflex stops the arm",
-        "Nm",
-        1.0,
-        100.0,
-    )
-    force_limits: Tuple[float, ...] = setting(
-        (20.0, 20.0, 20.0, 25.0, 25.0, 25.0),
-        "external force (3) and torque (3) at the end effector above which a collision reflex stops the arm",
-        "N, Nm",
-        1.0,
-        100.0,
-    )
-    load_mass: float = setting(0.0, "mass of camera and mount, if Desk does not know it yet", "kg", 0.0, 3.0)
-    load_centre: Tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "centre of mass of that load in the flange frame", "m", -0.5, 0.5
-    )
-    load_inertia: Tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "moments of inertia of that load about its centre: Ixx, Iyy, Izz", "kg m^2", 0.0, 1.0
-    )
-
-
-@dataclass(frozen=True)
 class Config:
-    """Everything that a run depends on."""
+    """The configuration of a run."""
 
     workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
@@ -423,58 +242,49 @@ class Config:
     session: SessionConfig = field(default_factory=SessionConfig)
 
     def __post_init__(self) -> None:
-        """Check what no single value can: limits against each other."""
-        box = self.workspace.box()
-        start = self.simulation.start
-        if self.arm.robot == SIMULATED and (len(start) != box.size or not box.contains(start)):
-            raise ConfigError(
-                f"simulation/start {list(start)} lies outside the workspace: move it, or "
-                "enlarge workspace/x, workspace/y, workspace/theta"
-            )
-        for key, count in _FRANKA_LENGTHS.items():
-            given = len(getattr(self.franka, key))
-            if given != count:
-                raise ConfigError(f"franka/{key} has {given} numbers: give {count}")
-        if len(self.identification.cells) != box.size:
-            raise ConfigError(
-                f"identification/cells needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"
-            )
-        if self.identification.min_views > self.identification.views:
-            raise ConfigError("identification/min_views is larger than identification/views: nothing would be found")
-        if len(self.planner.velocity_limits) != box.size:
-            raise ConfigError(
-                f"planner/velocity_limits needs {box.size} numbers, one for each of {', '.join(STATE_NAMES)}"
-            )
-        if self.exploration.step_duration > self.arm.max_duration:
-            raise ConfigError(
-                "exploration/step_duration is longer than arm/max_duration: the arm would refuse each command"
-            )
-        if self.exploration.fresh_samples > self.exploration.samples:
-            raise ConfigError("exploration/fresh_samples is larger than exploration/samples: only as many can be new")
-        if self.training.batch_size > self.training.first_update_at:
-            raise ConfigError(
-                "training/batch_size is larger than training/first_update_at: the first batch could not be filled"
-            )
-        if self.training.updates_per_observation and self.exploration.steps < self.training.first_update_at:
-            raise ConfigError(
-                f"exploration/steps is {self.exploration.steps}, fewer than training/first_update_at "
-                f"({self.training.first_update_at}): nothing would be learned"
-            )
-        layers = {len(self.model.channels), len(self.model.kernels), len(self.model.strides)}
-        if len(layers) != 1:
-            raise ConfigError(
-                "model/channels, model/kernels and model/strides differ in length: give one number a convolution"
-            )
+        """Check relations between settings. Raises ConfigError."""
+        box, training, steps = self.workspace.box(), self.training, self.exploration.steps
+        start = list(self.simulation.start)
+        problems = (
+            (
+                self.arm.robot == SIMULATED and not box.contains(start),
+                f"simulation/start {start} is outside the workspace: move it, or enlarge the workspace",
+            ),
+            (
+                self.identification.min_views > self.identification.views,
+                "identification/min_views is larger than identification/views: nothing would be found",
+            ),
+            (
+                self.exploration.step_duration > self.arm.max_duration,
+                "exploration/step_duration is longer than arm/max_duration: the arm would refuse every command",
+            ),
+            (
+                self.exploration.fresh_samples > self.exploration.samples,
+                "exploration/fresh_samples is larger than exploration/samples: redraw at most all of them",
+            ),
+            (
+                training.batch_size > training.first_update_at,
+                "training/batch_size is larger than training/first_update_at: the first batch could not be filled",
+            ),
+            (
+                training.updates_per_observation > 0 and steps < training.first_update_at,
+                f"exploration/steps is {steps}, fewer than training/first_update_at ({training.first_update_at}): "
+                "nothing would be learned",
+            ),
+        )
+        for wrong, message in problems:
+            if wrong:
+                raise ConfigError(message)
 
     @property
     def updates_planned(self) -> int:
-        """Model updates of the whole run."""
+        """Number of model updates of the whole run."""
         return self.training.updates_per_observation * self.exploration.steps
 
     def observations_needed(self, update: int) -> int:
-        """Observations that update number `update`, from 0, draws its batches from: all so far when it may be made.
+        """Return the number of observations that the batches of an update (from 0) are drawn from.
 
-        A function of the update alone, so that what is learned does not depend on how fast anything else goes.
+        It depends on the update alone, so that training does not depend on the speed of planner and trainer.
         """
         training, steps = self.training, self.exploration.steps
         ratio = training.updates_per_observation
@@ -482,136 +292,52 @@ class Config:
         return steps if update >= proportional else training.first_update_at + update // ratio
 
     def updates_due(self, observations: int) -> int:
-        """Model updates that so many observations call for: none before learning starts, all when exploring is over."""
+        """Return the number of model updates due after a number of observations; all when exploration is complete."""
         training = self.training
         if observations >= self.exploration.steps:
             return self.updates_planned
         return training.updates_per_observation * max(0, observations + 1 - training.first_update_at)
 
     def updates_awaited(self, observations: int) -> int:
-        """Model updates that the planner waits for with so many observations, less training/max_lag.
+        """Return the updates that the planner waits for after a number of observations, before training/max_lag.
 
-        What the newest observation calls for is learned while the arm moves on; when exploring is over, all of it.
+        The updates due to the newest observation run while the arm moves; at the end all are awaited.
         """
         return self.updates_due(observations if observations >= self.exploration.steps else observations - 1)
 
     @classmethod
-    def from_dict(cls, values: Dict[str, Any]) -> Config:
-        """Sections of keys -> Config. Raises ConfigError naming the key, the value and what is legal."""
-        if not isinstance(values, dict):
-            raise ConfigError(f"the configuration is {type(values).__name__}, not sections of keys")
-        sections = {section.name: section.default_factory for section in dataclasses.fields(cls)}
-        _refuse_unknown(values, sections, "section")
-        return cls(**{name: _build_section(sections[name], name, keys) for name, keys in values.items()})
+    def from_dict(cls, values: Dict[str, Any], subject: Any = "") -> Config:
+        """Build a configuration from sections of keys. Raises ConfigError naming subject, key and legal values."""
+        return build(cls, values, subject)
 
     def to_dict(self) -> Dict[str, Any]:
-        """Plain sections of keys, ready for YAML; tuples become lists."""
-        return {
-            name: {key: list(value) if isinstance(value, tuple) else value for key, value in section.items()}
-            for name, section in dataclasses.asdict(self).items()
-        }
+        """Return sections of keys as plain data; tuples become lists."""
+        return to_plain(self)
 
 
 def load_profile(path: Path) -> Dict[str, Any]:
-    """Sections of keys that a YAML profile sets. Raises ConfigError when the file is missing or is no such thing."""
+    """Read the sections of keys that a YAML profile sets. Raises ConfigError naming the file and the key."""
     values = _PROFILE_READER.read_yaml(Path(path))
-    return {section: {} if keys is None else keys for section, keys in values.items()}
+    return check_keys(Config, {name: {} if keys is None else keys for name, keys in values.items()}, path)
+
+
+def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:
+    """Return the path of a profile given by name in a folder, or by path. Raises ConfigError listing the names."""
+    path = Path(os.path.expanduser(name_or_path))
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    known = sorted(candidate.stem for candidate in folder.glob("*.yaml")) if folder else []
+    if folder is None or name_or_path not in known:
+        raise ConfigError(
+            f"unknown profile {name_or_path!r}: {nearest(name_or_path, known)}; or give the path of a YAML file"
+        )
+    return folder / f"{name_or_path}.yaml"
 
 
 def merge(base: Dict[str, Any], overrides: Dict[str, Any]) -> Dict[str, Any]:
-    """Sections of keys in which the overrides win; neither argument is changed."""
+    """Return sections of keys in which the overrides take precedence; the arguments are not modified."""
     merged = dict(base)
     for name, keys in overrides.items():
         below = merged.get(name, {})
         merged[name] = {**below, **keys} if isinstance(below, dict) and isinstance(keys, dict) else keys
     return merged
-
-
-def settings(config_class: type = Config) -> Iterator[Tuple[str, dataclasses.Field]]:
-    """Every (section, field) in the order of declaration: what the parameter table is made of."""
-    for section in dataclasses.fields(config_class):
-        for item in dataclasses.fields(section.default_factory):
-            yield section.name, item
-
-
-def legal_values(item: dataclasses.Field) -> str:
-    """The legal values of a field in words; empty when everything of its type is legal."""
-    low, high, choices = item.metadata["low"], item.metadata["high"], item.metadata["choices"]
-    if choices:
-        return " | ".join(choices)
-    if math.isinf(low) and math.isinf(high):
-        return ""
-    return f"{low:g} .. {high:g}"
-
-
-def _refuse_unknown(given: Dict[str, Any], known: Dict[str, Any], kind: str, section: str = "") -> None:
-    for key in given:
-        if key not in known:
-            text = str(key)[:_LONGEST_KEY]
-            nearest = difflib.get_close_matches(text, list(known), n=1, cutoff=0.4)
-            hint = f"did you mean {section}{nearest[0]}?" if nearest else f"known: {', '.join(known)}"
-            raise ConfigError(f"unknown {kind} {section}{text}: {hint}")
-
-
-def _build_section(section_class: type, name: str, keys: Any) -> Any:
-    if not isinstance(keys, dict):
-        raise ConfigError(f"section {name} is {keys!r}: give keys and values")
-    known = {item.name: item for item in dataclasses.fields(section_class)}
-    _refuse_unknown(keys, known, "key", f"{name}/")
-    return section_class(**{key: _check(f"{name}/{key}", known[key], value) for key, value in keys.items()})
-
-
-def _check(key: str, item: dataclasses.Field, value: Any) -> Any:
-    """The value in the field's own type, or ConfigError."""
-    default = item.default
-    if isinstance(default, tuple):
-        if not isinstance(value, (list, tuple)) or not value:
-            raise ConfigError(f"{key} is {value!r}: give a list of numbers")
-        return tuple(_check_number(key, item, part, type(default[0])) for part in value)
-    if isinstance(default, bool):
-        if not isinstance(value, bool):
-            raise ConfigError(f"{key} is {value!r}: give true or false")
-        return value
-    if isinstance(default, str):
-        return _check_text(key, item, value)
-    return _check_number(key, item, value, type(default))
-
-
-def _check_text(key: str, item: dataclasses.Field, value: Any) -> str:
-    if not isinstance(value, str):
-        raise ConfigError(f"{key} is {value!r}: give a text")
-    choices = item.metadata["choices"]
-    if choices and value not in choices:
-        nearest = difflib.get_close_matches(value, choices, n=1)
-        hint = f"did you mean {nearest[0]}? " if nearest else ""
-        raise ConfigError(f"{key} is {value!r}: {hint}legal are {', '.join(choices)}")
-    return value
-
-
-def _check_number(key: str, item: dataclasses.Field, value: Any, kind: type) -> Any:
-    whole = kind is int
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, (int, float))
-        or not math.isfinite(value)
-        or (whole and value != int(value))
-    ):
-        raise ConfigError(f"{key} is {value!r}: give a {'whole ' if whole else ''}number")
-    low, high = item.metadata["low"], item.metadata["high"]
-    if not low <= value <= high:
-        unit = f" {item.metadata['unit']}" if item.metadata["unit"] else ""
-        raise ConfigError(f"{key} is {value!r}: legal is {low:g} to {high:g}{unit}")
-    return kind(value)
-
-
-def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:
-    """A profile by name in the given folder, or by path. Raises ConfigError listing what there is."""
-    path = Path(os.path.expanduser(name_or_path))
-    if path.suffix in (".yaml", ".yml"):
-        return path
-    known = sorted(candidate.stem for candidate in folder.glob("*.yaml")) if folder else []
-    if name_or_path not in known:
-        raise ConfigError(
-            f"unknown profile {name_or_path!r}: there are {', '.join(known)}; or give the path of a YAML file"
-        )
-    return folder / f"{name_or_path}.yaml"

@@ -23,7 +23,7 @@ LARGEST_YAML = 2**18
 """Bytes of the largest YAML file that is read: many times the largest of ours, and read within seconds."""
 
 _DEEPEST = 32  # levels of YAML or JSON; more would only serve to exhaust the interpreter's stack
-_LONGEST_INTEGER = 64  # characters; longer ones fit no setting, and take ever longer to convert
+_LONGEST_NUMBER = 64  # characters; longer ones fit no setting, and take ever longer to convert
 _SHOWN = 200  # characters of a value in a message
 _WORDS = {
     bool: "true or false",
@@ -234,12 +234,27 @@ class _PlainLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        if len(node.value) > _LONGEST_INTEGER:
-            raise _error(f"a number has {len(node.value)} digits", node.start_mark)
+        self._check_number(node)
         return super().construct_yaml_int(node)
+
+    def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
+        self._check_number(node)
+        return super().construct_yaml_float(node)
+
+    @staticmethod
+    def _check_number(node: yaml.ScalarNode) -> None:
+        """Refuse what YAML 1.1 reads as another number than people expect: 1:30 as 90, and 010 as 8."""
+        if len(node.value) > _LONGEST_NUMBER:
+            raise _error(f"a number has {len(node.value)} digits", node.start_mark)
+        digits = node.value.lstrip("+-")
+        if ":" in digits:
+            raise _error(f"{node.value} is a base-60 number in YAML, write it as a decimal number", node.start_mark)
+        if len(digits) > 1 and digits[0] == "0" and digits.isdecimal():
+            raise _error(f"{node.value} is an octal number in YAML, drop the leading zero", node.start_mark)
 
 
 _PlainLoader.add_constructor("tag:yaml.org,2002:int", _PlainLoader.construct_yaml_int)
+_PlainLoader.add_constructor("tag:yaml.org,2002:float", _PlainLoader.construct_yaml_float)
 
 
 def _error(complaint: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:

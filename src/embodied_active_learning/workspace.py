@@ -1,15 +1,16 @@
-"""The planar workspace, and the one conversion between SI units and the normalised states that the library works in."""
+"""The planar workspace, and the conversion between SI units and the normalised states of the library."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Tuple
+from typing import Sequence, Tuple, Union
 
 import numpy as np
 
 from embodied_active_learning.errors import ConfigError
 
 STATE_NAMES = ("x", "y", "theta")
+States = Union[np.ndarray, Sequence[float]]
 
 
 @dataclass(frozen=True)
@@ -20,41 +21,48 @@ class Workspace:
     upper: Tuple[float, ...] = (0.625, 0.15, 2.0)
 
     def __post_init__(self) -> None:
-        """Refuse limits that are not finite or not in order, by name."""
+        """Check that limits are finite and in order."""
         for name, low, high in zip(STATE_NAMES, self.lower, self.upper):
             if not (np.isfinite(low) and np.isfinite(high) and low < high):
-                raise ConfigError(f"workspace/{name} is [{low}, {high}]: give a finite lower limit below the upper one")
+                raise ConfigError(
+                    f"workspace/{name} is [{low}, {high}]: expected a finite lower limit below the upper one"
+                )
 
     @property
     def size(self) -> int:
-        """Number of state dimensions."""
+        """Number of state dimensions D."""
         return len(self.lower)
 
     @property
     def centre(self) -> np.ndarray:
-        """(D,) middle of the box, SI units."""
+        """Centre of the box. (D,) SI units."""
         return (np.asarray(self.upper) + np.asarray(self.lower)) / 2.0
 
     @property
     def scale(self) -> np.ndarray:
-        """(D,) SI units per normalised unit: half the extent of the box."""
+        """SI units per normalised unit: half the extent of the box. (D,)."""
         return (np.asarray(self.upper) - np.asarray(self.lower)) / 2.0
 
-    def normalise(self, states: np.ndarray) -> np.ndarray:
-        """States in SI units (..., D) -> normalised states (..., D)."""
+    def normalise(self, states: States) -> np.ndarray:
+        """Convert states from SI units to normalised units. (..., D) -> (..., D)."""
         return (np.asarray(states, dtype=np.float64) - self.centre) / self.scale
 
-    def denormalise(self, states: np.ndarray) -> np.ndarray:
-        """Normalised states (..., D) -> states in SI units (..., D)."""
+    def denormalise(self, states: States) -> np.ndarray:
+        """Convert states from normalised units to SI units. (..., D) -> (..., D)."""
         return np.asarray(states, dtype=np.float64) * self.scale + self.centre
 
-    def contains(self, states: np.ndarray, tolerance: float = 0.0) -> np.ndarray:
-        """Whether SI states (..., D) lie in the box, widened by tolerance (normalised units) -> (...).
+    def contains(self, states: States, tolerance: float = 0.0) -> np.ndarray:
+        """Return whether states lie in the box. NaN is outside.
 
-        NaN is outside.
+        Args:
+            states: (..., D) SI units.
+            tolerance: Extension of the box on each side, normalised units.
+
+        Returns:
+            (...) booleans.
         """
         return np.all(np.abs(self.normalise(states)) <= 1.0 + tolerance, axis=-1)
 
-    def clip(self, states: np.ndarray) -> np.ndarray:
-        """SI states (..., D) moved to the nearest point of the box."""
+    def clip(self, states: States) -> np.ndarray:
+        """Move states to the nearest point of the box. (..., D) SI units -> (..., D)."""
         return np.clip(states, self.lower, self.upper)

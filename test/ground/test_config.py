@@ -1,4 +1,4 @@
-"""The configuration: what it accepts, what it refuses and how, and that what derives from it is up to date."""
+"""The configuration: legal and illegal values, profiles, the update schedule, and the generated documentation."""
 
 import sys
 from pathlib import Path
@@ -8,8 +8,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from embodied_active_learning.config import Config, find_profile, load_profile, merge, settings
+from embodied_active_learning.config import Config, find_profile, load_profile, merge
 from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.schema import settings
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -22,42 +23,48 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
     [
         ({"exploraton": {}}, "unknown section exploraton: did you mean exploration?"),
         ({"exploration": {"step": 5}}, "unknown key exploration/step: did you mean exploration/steps?"),
-        ({"exploration": {"steps": "many"}}, "exploration/steps is 'many': give a whole number"),
-        ({"exploration": {"steps": 2.5}}, "exploration/steps is 2.5: give a whole number"),
-        ({"exploration": {"steps": float("nan")}}, "exploration/steps is nan: give a whole number"),
-        ({"exploration": {"steps": True}}, "exploration/steps is True: give a whole number"),
-        ({"exploration": {"steps": -1}}, "exploration/steps is -1: legal is 1 to"),
-        ({"exploration": {"explorer": "ergodyc"}}, "did you mean ergodic? legal are ergodic, random_walk"),
-        ({"workspace": {"x": [0.6, 0.3]}}, "workspace/x is [0.6, 0.3]: give a finite lower limit below the upper one"),
-        ({"workspace": {"x": [0.1, 0.2, 0.3]}}, "workspace/x has 3 numbers"),
-        ({"workspace": {"x": 0.3}}, "workspace/x is 0.3: give a list of numbers"),
-        ({"planner": {"horizon": 0}}, "planner/horizon is 0: legal is 2 to 200"),
-        ({"planner": {"velocity_limits": [1.0]}}, "planner/velocity_limits needs 3 numbers"),
-        ({"planner": {"normalise_kernels": 1}}, "planner/normalise_kernels is 1: give true or false"),
-        ({"simulation": {"start": [0.0, 0.0, 0.0]}}, "simulation/start [0.0, 0.0, 0.0] lies outside the workspace"),
+        ({"exploration": {"steps": "many"}}, "exploration/steps is 'many': expected a whole number"),
+        ({"exploration": {"steps": 2.5}}, "exploration/steps is 2.5: expected a whole number"),
+        ({"exploration": {"steps": float("nan")}}, "exploration/steps is nan: expected a whole number"),
+        ({"exploration": {"steps": True}}, "exploration/steps is True: expected a whole number"),
+        ({"exploration": {"steps": -1}}, "exploration/steps is -1: expected a whole number from 1 to 1e+06"),
+        (
+            {"exploration": {"explorer": "ergodyc"}},
+            "expected one of ergodic, random_walk, uniform, uniform_ergodic; did you mean ergodic?",
+        ),
+        (
+            {"workspace": {"x": [0.6, 0.3]}},
+            "workspace/x is [0.6, 0.3]: expected a finite lower limit below the upper one",
+        ),
+        ({"workspace": {"x": [0.1, 0.2, 0.3]}}, "workspace/x has 3 numbers: expected 2"),
+        ({"workspace": {"x": 0.3}}, "workspace/x is 0.3: expected a list of 2 numbers"),
+        ({"planner": {"horizon": 0}}, "planner/horizon is 0: expected a whole number from 2 to 200"),
+        ({"planner": {"velocity_limits": [1.0]}}, "planner/velocity_limits has 1 numbers: expected 3"),
+        ({"planner": {"normalise_kernels": 1}}, "planner/normalise_kernels is 1: expected true or false"),
+        ({"simulation": {"start": [0.0, 0.0, 0.0]}}, "simulation/start [0.0, 0.0, 0.0] is outside the workspace"),
         ({"exploration": {"steps": 20}}, "exploration/steps is 20, fewer than training/first_update_at (64)"),
         ({"training": {"batch_size": 100}}, "training/batch_size is larger than training/first_update_at"),
-        ({"training": None}, "section training is None: give keys and values"),
-        ({"model": {"channels": [10]}}, "model/channels, model/kernels and model/strides differ in length"),
-        (["training"], "the configuration is list, not sections of keys"),
+        ({"training": None}, "section training is None: expected keys and values"),
+        ({"model": {"channels": [10]}}, "model: channels, kernels and strides differ in length"),
+        (["training"], "the content is ['training']: expected keys and values"),
     ],
 )
-def test_a_configuration_that_cannot_work_is_refused_with_the_key_and_the_remedy(values, expected):
+def test_invalid_configuration_is_refused_with_key_and_range(values, expected):
     with pytest.raises(ConfigError) as refusal:
         Config.from_dict(values)
     assert expected in str(refusal.value)
 
 
-def test_a_configuration_survives_the_way_through_yaml():
+def test_configuration_survives_yaml_round_trip():
     config = Config.from_dict({"exploration": {"steps": 70, "explorer": "uniform"}, "workspace": {"x": [0.3, 0.5]}})
     assert Config.from_dict(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
 
 
-def test_the_defaults_are_legal_by_their_own_rules():
+def test_defaults_are_valid():
     assert Config.from_dict(Config().to_dict()) == Config()
 
 
-def test_a_profile_with_python_objects_in_it_is_refused_and_runs_nothing(tmp_path):
+def test_profile_with_python_objects_is_refused_unexecuted(tmp_path):
     canary = tmp_path / "canary"
     profile = tmp_path / "evil.yaml"
     profile.write_text(f"exploration: !!python/object/apply:os.system ['touch {canary}']\n")
@@ -67,35 +74,35 @@ def test_a_profile_with_python_objects_in_it_is_refused_and_runs_nothing(tmp_pat
 
 
 @pytest.mark.parametrize("content", ["[1, 2]", "just words", b"\xff\xfe\x00"])
-def test_a_profile_that_is_no_sections_of_keys_is_refused(content, tmp_path):
+def test_profile_without_sections_is_refused(content, tmp_path):
     profile = tmp_path / "odd.yaml"
     profile.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ConfigError, match=r"odd\.yaml"):
         load_profile(profile)
 
 
-def test_an_empty_section_of_a_profile_changes_nothing(tmp_path):
+def test_empty_profile_section_changes_nothing(tmp_path):
     profile = tmp_path / "empty.yaml"
     profile.write_text("exploration:\n")
     assert merge(load_profile(profile), {"exploration": {"seed": 3}}) == {"exploration": {"seed": 3}}
 
 
-def test_an_unknown_profile_is_answered_with_those_there_are():
-    with pytest.raises(ConfigError, match="there are authors_hardware, authors_simulation, demo, franka, paper"):
+def test_unknown_profile_error_lists_similar_names():
+    with pytest.raises(ConfigError, match=r"did you mean paper\?"):
         find_profile("papper", ROOT / "config")
 
 
-def test_a_missing_profile_file_is_named(tmp_path):
+def test_missing_profile_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"nowhere.yaml is missing"):
         load_profile(find_profile(str(tmp_path / "nowhere.yaml"), None))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda path: path.stem)
-def test_every_shipped_profile_is_a_legal_configuration(path):
+def test_shipped_profile_is_valid(path):
     Config.from_dict(load_profile(path))
 
 
-def test_merging_keeps_its_arguments_as_they_are():
+def test_merge_does_not_modify_arguments():
     base, overrides = {"training": {"batch_size": 8}}, {"training": {"threads": 1}}
     assert merge(base, overrides) == {"training": {"batch_size": 8, "threads": 1}}
     assert base == {"training": {"batch_size": 8}}
@@ -105,7 +112,7 @@ def test_merging_keeps_its_arguments_as_they_are():
     ("observations", "updates"),
     [(0, 0), (63, 0), (64, 3), (65, 6), (1063, 3000), (2999, 8808), (3000, 9000), (3001, 9000)],
 )
-def test_three_updates_are_due_for_each_observation_from_the_64th_and_9000_at_the_end(observations, updates):
+def test_three_updates_are_due_per_observation_from_the_64th(observations, updates):
     assert Config().updates_due(observations) == updates
 
 
@@ -115,7 +122,7 @@ def test_three_updates_are_due_for_each_observation_from_the_64th_and_9000_at_th
     ratio=st.integers(0, 5),
     observations=st.integers(0, 320),
 )
-def test_an_update_is_due_as_soon_as_there_are_the_observations_that_it_needs(steps, first, ratio, observations):
+def test_update_is_due_once_its_observations_are_stored(steps, first, ratio, observations):
     training = {"batch_size": 8, "first_update_at": first, "updates_per_observation": ratio}
     config = Config.from_dict({"exploration": {"steps": steps}, "training": training})
     due = sum(config.observations_needed(update) <= observations for update in range(config.updates_planned))
@@ -123,17 +130,16 @@ def test_an_update_is_due_as_soon_as_there_are_the_observations_that_it_needs(st
 
 
 @given(observations=st.integers(1, 2999))
-def test_the_planner_waits_for_what_the_observations_before_the_newest_call_for(observations):
+def test_planner_awaits_updates_of_previous_observations(observations):
     config = Config()
     assert config.updates_awaited(observations) == config.updates_due(observations - 1)
     assert config.updates_awaited(3000) == 9000
 
 
-def test_every_setting_says_what_it_means():
-    assert all(item.metadata["meaning"] for _, item in settings())
+def test_every_setting_has_a_meaning():
+    assert all(item.metadata["meaning"] for _, item in settings(Config))
 
 
-def test_the_paper_profile_and_the_readme_list_every_setting_as_it_is():
-    assert (ROOT / "config" / "paper.yaml").read_text() == generate_docs.profile_text()
-    readme = (ROOT / "README.md").read_text()
-    assert generate_docs.with_table(readme) == readme, "run: make docs"
+def test_generated_files_are_up_to_date():
+    for path, text in generate_docs.generated_files().items():
+        assert path.read_text(encoding="utf-8") == text, f"{path} is outdated: run make docs"

@@ -242,7 +242,7 @@ def test_set_that_is_replaced_while_it_is_read_gives_the_new_one(session, monkey
 
 def test_old_or_new_set_is_whole_whenever_its_saver_is_killed(session):
     # In a process without threads, because it forks; in one for both, because torch takes seconds to start.
-    code = "import sys, test_session_fingerprints as tests; tests.kill_savers(sys.argv[1])"
+    code = "import sys, test_fingerprints as tests; tests.kill_savers(sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(session)], check=True, timeout=120, env=ENVIRONMENT)
 
 

@@ -192,7 +192,7 @@ def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):
         ({"format": None}, "format is None, expected"),
         ({"config": {"camera": {"width": -3}}}, "camera/width is -3"),
         ({"config": {"camera": {"widht": 3}}}, "did you mean camera/width"),
-        ({"config": None}, "the configuration is NoneType"),
+        ({"config": None}, "the content is None"),
     ],
 )
 def test_description_that_is_not_understood_is_refused_by_file_and_field(tmp_path, change, message):

@@ -17,11 +17,11 @@ from embodied_active_learning.config import (
     find_profile,
     load_profile,
     merge,
-    settings,
 )
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import parse_yaml, shown
 from embodied_active_learning.naming import LONGEST_NAME, check_name
+from embodied_active_learning.schema import settings
 from embodied_active_learning.session.session import Session, check_session, session_path, session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 from embodied_active_learning.simulation.world import find_world, load_world
@@ -142,4 +142,4 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
 
 def _is_text(section: str, key: str) -> bool:
     """Whether the setting is a text, which must not be read as YAML: a session may be called 1e3."""
-    return any(isinstance(item.default, str) for name, item in settings() if (name, item.name) == (section, key))
+    return any(isinstance(item.default, str) for name, item in settings(Config) if (name, item.name) == (section, key))

@@ -1,0 +1,77 @@
+"""Registries: the implementations that a configuration chooses by name.
+
+A registry lists its built-in entries as "module:attribute", so that the names are known without importing torch or
+scikit-learn. It is the only place where an implementation is registered:
+
+    from embodied_active_learning.registry import EXPLORERS
+
+    @EXPLORERS.register("spiral")
+    class SpiralExplorer(Explorer): ...
+
+    config = load_config("demo", explorer="spiral")
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, Callable, Dict, Iterator, Mapping, TypeVar, Union
+
+from embodied_active_learning.errors import ConfigError
+
+_Entry = TypeVar("_Entry", bound=Callable[..., Any])
+
+
+class Registry:
+    """Callables by name; iteration yields the names in order of registration."""
+
+    def __init__(self, kind: str, entries: Mapping[str, str]) -> None:
+        """Args: kind: what is registered, for error messages; entries: name -> "module:attribute"."""
+        self.kind = kind
+        self._entries: Dict[str, Union[str, Callable[..., Any]]] = dict(entries)
+
+    def register(self, name: str) -> Callable[[_Entry], _Entry]:
+        """Return a decorator that adds a class or function. Raises ConfigError if the name is taken."""
+
+        def add(entry: _Entry) -> _Entry:
+            if name in self._entries:
+                raise ConfigError(f"{self.kind} {name!r} is already registered: choose another name")
+            self._entries[name] = entry
+            return entry
+
+        return add
+
+    def unregister(self, name: str) -> None:
+        """Remove an entry."""
+        del self._entries[name]
+
+    def __getitem__(self, name: str) -> Callable[..., Any]:
+        """Import and return an entry. Raises ConfigError listing the known names."""
+        if name not in self._entries:
+            raise ConfigError(f"unknown {self.kind} {name!r}: known are {', '.join(self)}")
+        entry = self._entries[name]
+        if not isinstance(entry, str):
+            return entry
+        module, _, attribute = entry.partition(":")
+        found: Callable[..., Any] = getattr(import_module(module), attribute)
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(tuple(self._entries))
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+
+EXPLORERS = Registry(
+    "explorer",
+    {
+        "ergodic": "embodied_active_learning.exploration.controller:ErgodicController",
+        "random_walk": "embodied_active_learning.exploration.baselines:RandomWalkExplorer",
+        "uniform": "embodied_active_learning.exploration.baselines:UniformExplorer",
+        "uniform_ergodic": "embodied_active_learning.exploration.baselines:UniformErgodicExplorer",
+    },
+)
+"""Values of exploration/explorer: callables (config: Config, seed: int) -> Explorer."""
