@@ -35,7 +35,7 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 from sample_fingerprints import CONFIG, make_fingerprint, make_set
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
 FILES = ("set.yaml", "model.safetensors", "object-1/fingerprint.safetensors")
 FACTS = ("session", "updates", "observations", "created")
 
