@@ -1,7 +1,9 @@
-"""Bags are read as rosbag has written them; what is no bag, damaged or made up is refused by name, and never run."""
+"""BagFile: bags written by rosbag are read; damaged, malformed and hostile ones are rejected, and never executed."""
 
 import bz2
 import struct
+import sys
+import tracemalloc
 from contextlib import suppress
 
 import genpy
@@ -14,14 +16,14 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from embodied_active_learning.errors import BagError
-from embodied_active_learning.ros.bags.reader import LARGEST_RECORD, BagFile
+from embodied_active_learning.ros.bags.reader import LARGEST_CHUNK, LARGEST_MESSAGE, BagFile, Connection
 
 WORDS = [f"number {number}" for number in range(200)]
 PICTURE = np.random.default_rng(0).integers(0, 40, 3000, dtype=np.uint8).tobytes()
 
 
 def write(path, compression="none", leave_open=False):
-    """A bag with a text and a picture by turns, in chunks of a few."""
+    """Write a bag with alternating texts and images, in small chunks."""
     bag = rosbag.Bag(str(path), "w", compression=compression, chunk_threshold=20000)
     for number, word in enumerate(WORDS):
         bag.write("/words", String(word), genpy.Time(1, number))
@@ -37,7 +39,7 @@ def words(path, topic="/words"):
     return [String().deserialize(m.data).data for m in BagFile(path).read(lambda connection: connection.topic == topic)]
 
 
-def refusal(path):
+def rejection(path):
     with pytest.raises(BagError) as error:
         words(path)
     return str(error.value)
@@ -45,14 +47,14 @@ def refusal(path):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The bytes of a whole bag."""
+    """The content of a complete bag."""
     path = tmp_path_factory.mktemp("bag") / "a.bag"
     write(path)
     return path.read_bytes()
 
 
 @pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
-def test_what_rosbag_has_written_is_read_in_its_order(tmp_path, compression):
+def test_reader_returns_what_rosbag_wrote(tmp_path, compression):
     write(tmp_path / "a.bag", compression)
     assert words(tmp_path / "a.bag") == WORDS
     messages = list(BagFile(tmp_path / "a.bag").read(lambda _: True))
@@ -62,7 +64,7 @@ def test_what_rosbag_has_written_is_read_in_its_order(tmp_path, compression):
     assert messages[1].connection.md5sum == Image._md5sum
 
 
-def test_a_bag_whose_recorder_was_killed_is_read_up_to_where_it_breaks_off(tmp_path):
+def test_unclosed_bag_is_read_up_to_its_end(tmp_path):
     path = tmp_path / "a.bag.active"
     bag = write(path, leave_open=True)
     assert not BagFile(path).closed
@@ -75,37 +77,37 @@ def test_a_bag_whose_recorder_was_killed_is_read_up_to_where_it_breaks_off(tmp_p
     bag.close()
 
 
-def test_a_closed_bag_that_is_cut_short_is_refused(tmp_path, whole):
+def test_truncated_closed_bag_is_rejected(tmp_path, whole):
     path = tmp_path / "a.bag"
     path.write_bytes(whole[: len(whole) // 2])
-    assert "a.bag is damaged (it ends too early): put it back from a copy" in refusal(path)
+    assert "a.bag is damaged: unexpected end of file; restore it from a copy" in rejection(path)
 
 
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"", "is no ROS bag"),
-        (b"\x80\x04K\x01.", "is no ROS bag"),
-        (b"#ROSBAG V2.0\n", "is damaged (it ends too early)"),
-        (b"#ROSBAG V1.2\n", "is of the bag format '1.2': convert it with rosbag fix"),
+        (b"", "is not a ROS bag"),
+        (b"\x80\x04K\x01.", "is not a ROS bag"),
+        (b"#ROSBAG V2.0\n", "is damaged: unexpected end of file"),
+        (b"#ROSBAG V1.2\n", "has bag format '1.2', expected 2.0: convert it with rosbag fix"),
     ],
 )
-def test_what_is_no_such_bag_is_refused_by_name(tmp_path, content, expected):
+def test_invalid_bag_is_rejected(tmp_path, content, expected):
     path = tmp_path / "a.bag"
     path.write_bytes(content)
-    assert expected in refusal(path)
+    assert expected in rejection(path)
 
 
-def test_what_is_no_file_is_refused(tmp_path):
-    assert "cannot be read (No such file or directory)" in refusal(tmp_path / "a.bag")
-    assert "it is a folder" in refusal(tmp_path)
-    assert "it is a device" in refusal("/dev/zero")
+def test_missing_or_special_file_is_rejected(tmp_path):
+    assert "a.bag: No such file or directory" in rejection(tmp_path / "a.bag")
+    assert "it is a folder" in rejection(tmp_path)
+    assert "it is a device" in rejection("/dev/zero")
 
 
-def test_an_encrypted_bag_is_refused_and_no_key_is_looked_for(tmp_path, whole):
+def test_encrypted_bag_is_rejected(tmp_path, whole):
     path = tmp_path / "a.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + record({"op": b"\x03", "index_pos": struct.pack("<Q", 9), "encryptor": b"x"}))
-    assert "is encrypted" in refusal(path)
+    assert "is encrypted" in rejection(path)
 
 
 def record(fields, data=b""):
@@ -121,33 +123,41 @@ def chunk(data, size, compression=b"bz2"):
     return HEAD + record({"op": b"\x05", "compression": compression, "size": struct.pack("<L", size)}, data)
 
 
+def connection(topic=b"/words", datatype=b"std_msgs/String", md5sum=b"0" * 32, number=0):
+    own = {"type": datatype, "md5sum": md5sum, "message_definition": b"string data"}
+    data = record(own)
+    size = struct.unpack("<L", data[:4])[0]
+    return record({"op": b"\x07", "conn": struct.pack("<L", number), "topic": topic}, data[4 : 4 + size])
+
+
+CONNECTION = connection()
 NESTED = chunk(b"", 0, b"none")[len(HEAD) :]
 
 
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (chunk(bz2.compress(bytes(10**7)), 100), "a chunk has 101 bytes, and should have 100"),
-        (chunk(b"", LARGEST_RECORD + 1), f"and {LARGEST_RECORD} are allowed"),
-        (chunk(b"nonsense", 100), "cannot be unpacked"),
-        (chunk(b"nonsense", 100, b"lz4"), "a chunk"),
-        (chunk(b"", 0, b"gzip"), "compressed by 'gzip'"),
-        (HEAD + struct.pack("<L", 2**31), "it ends too early"),
-        (HEAD + record({"op": b"\x02", "conn": bytes(4)}), "belongs to no publisher"),
-        (HEAD + record({"op": b"\x63"}), "of the kind 99, which has no place there"),
-        (chunk(NESTED, len(NESTED), b"none"), "of the kind 5, which has no place there"),
+        (chunk(bz2.compress(bytes(10**7)), 100), "damaged"),
+        (chunk(bz2.compress(CONNECTION + bytes(10**7)), len(CONNECTION)), "a chunk has more than"),
+        (chunk(b"nonsense", 100), "cannot decompress a chunk"),
+        (chunk(b"nonsense", 100, b"lz4"), "damaged"),
+        (chunk(b"", 0, b"gzip"), "unknown chunk compression 'gzip'"),
+        (HEAD + struct.pack("<L", 2**31), "unexpected end of file"),
+        (HEAD + record({"op": b"\x02", "conn": bytes(4)}), "a message has no connection record"),
+        (HEAD + record({"op": b"\x63"}), "unexpected record type 99"),
+        (chunk(NESTED, len(NESTED), b"none"), "unexpected record type 5"),
         (HEAD + record({}), "damaged"),
     ],
 )
-def test_what_asks_for_too_much_or_makes_no_sense_is_refused(tmp_path, content, expected):
+def test_malformed_records_are_rejected(tmp_path, content, expected):
     path = tmp_path / "a.bag"
     path.write_bytes(content)
-    assert expected in refusal(path)
+    assert expected in rejection(path)
 
 
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
-def test_a_bag_in_which_bytes_have_changed_is_read_or_refused_and_nothing_else(whole, tmp_path_factory, data):
+def test_mutated_bag_is_read_or_rejected(whole, tmp_path_factory, data):
     content = bytearray(whole)
     for _ in range(data.draw(st.integers(1, 3))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
@@ -155,3 +165,73 @@ def test_a_bag_in_which_bytes_have_changed_is_read_or_refused_and_nothing_else(w
     path.write_bytes(content)
     with suppress(BagError):
         assert all(len(message.data) <= len(whole) for message in BagFile(path).read(lambda _: True))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"topic": b"/" * 1025}, {"datatype": b"a" * 257}, {"md5sum": b"0" * 33}],
+    ids=["topic", "type", "md5sum"],
+)
+def test_long_connection_fields_are_rejected(tmp_path, fields):
+    """The error is about a limit of this reader, not about damage."""
+    path = tmp_path / "a.bag"
+    path.write_bytes(HEAD + connection(**fields))
+    message = rejection(path)
+    assert "this reader accepts up to" in message
+    assert "damaged" not in message
+
+
+def test_memory_is_bounded_for_a_bag_of_long_connections(tmp_path):
+    """A small compressed bag with many connections, each with a type of 1 MB."""
+    path = tmp_path / "a.bag"
+    content = b"".join(connection(datatype=b"a" * 10**6, number=number) for number in range(50))
+    path.write_bytes(chunk(bz2.compress(content), len(content)))
+    assert path.stat().st_size < 20_000
+    tracemalloc.start()
+    assert "the type of a connection has 1000000 bytes" in rejection(path)
+    assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
+def test_large_chunk_is_streamed(tmp_path, compression):
+    """A chunk above 64 MiB with large messages on a topic that is not read."""
+    path = tmp_path / "a.bag"
+    with rosbag.Bag(str(path), "w", compression=compression, chunk_threshold=2**30) as bag:
+        for number, word in enumerate(WORDS[:9]):
+            bag.write("/clouds", Image(data=bytes(9 * 10**6)), genpy.Time(1, number))
+            bag.write("/words", String(word), genpy.Time(1, number))
+    tracemalloc.start()
+    assert words(path) == WORDS[:9]
+    assert tracemalloc.get_traced_memory()[1] < 40 * 2**20
+    tracemalloc.stop()
+
+
+def test_chunk_above_limit_is_reported_as_limit(tmp_path):
+    path = tmp_path / "a.bag"
+    path.write_bytes(chunk(b"", LARGEST_CHUNK + 1))
+    message = rejection(path)
+    assert f"this reader accepts up to {LARGEST_CHUNK}: rewrite the bag with smaller chunks" in message
+    assert "damaged" not in message
+
+
+def test_message_above_limit_is_reported_as_limit(tmp_path):
+    path = tmp_path / "a.bag"
+    message = record({"op": b"\x02", "conn": bytes(4), "time": bytes(8)}, bytes(LARGEST_MESSAGE + 1))
+    path.write_bytes(HEAD + CONNECTION + message)
+    assert f"this reader accepts up to {LARGEST_MESSAGE}" in rejection(path)
+
+
+def test_message_definitions_are_never_executed(tmp_path):
+    """A definition that breaks out of the code that genpy generates from it: rosbag's reader would run it."""
+    marker = tmp_path / "executed"
+    definition = f"string data=\"\nopen({str(marker)!r}, 'w')\nx=\""
+    path = tmp_path / "a.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        header = {"topic": "/words", "type": "a/B", "md5sum": "0" * 32, "message_definition": definition}
+        bag.write("/words", String("word"), connection_header=header)
+    before = set(sys.modules)
+    (found,) = BagFile(path).read(lambda _: True)
+    assert found.connection == Connection("/words", "a/B", "0" * 32)
+    assert not marker.exists()
+    assert set(sys.modules) == before, "reading imported a module"

@@ -1,4 +1,4 @@
-"""What a recording holds for learning: its observations, or what images and arm states make of them."""
+"""Recording: observations of a recorded run, or pairs of images and arm states."""
 
 from pathlib import Path
 
@@ -12,8 +12,9 @@ from std_msgs.msg import Header, String
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, ConfigError, ObservationError
 from embodied_active_learning.pipeline.resolve import resolve
-from embodied_active_learning.ros.bags.pairing import is_due
-from embodied_active_learning.ros.bags.recording import Recording, read_settings, settings_text
+from embodied_active_learning.ros.bags.pairing import RecordedPairs, is_due
+from embodied_active_learning.ros.bags.recording import Recording
+from embodied_active_learning.ros.bags.run_settings import read_settings, settings_text
 from embodied_active_learning.ros.bags.replay_config import resolve_copy, resolve_replay
 from embodied_active_learning.ros.bags.writer import BagWriter
 from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
@@ -27,57 +28,117 @@ def picture(seed, size=8):
     return np.random.default_rng(seed).integers(0, 256, (size, size, 3), dtype=np.uint8)
 
 
-def observation(index, size=8):
-    stamp = rospy.Time(10 + index)
+def observation(index, size=8, start=10):
+    stamp = rospy.Time(start + index)
     state = state_message(stamp, (0.4 + 0.01 * index, 0.0, 0.0), STILL)
     return Observation(Header(stamp=stamp), index, state, image_message(stamp, picture(index, size)))
 
 
-def record(path, indices, namespace="", size=8):
+def record(path, indices, namespace="", size=8, start=10):
     with BagWriter(path) as bag:
         for index in indices:
-            bag.write(f"{namespace}/observation", observation(index, size), rospy.Time(index))
+            bag.write(f"{namespace}/observation", observation(index, size, start), rospy.Time(index))
     return path
 
 
 def indices_of(recording, config=CONFIG):
-    """The recorded numbers, told by the stamps."""
+    """Return the recorded indices, derived from the stamps."""
     found = list(recording.observations(config))
     assert [item.index for item in found] == list(range(len(found)))
     return [item.header.stamp.secs - 10 for item in found]
 
 
-def test_the_bags_of_a_run_that_was_resumed_are_one_recording(tmp_path):
+def test_bags_of_resumed_run_are_joined(tmp_path):
     record(tmp_path / "20260101.bag", range(5))
-    record(tmp_path / "20260102.bag", range(4, 8))  # the last one was told again
+    record(tmp_path / "20260102.bag", range(4, 8))  # the last one was published again
     recording = Recording(tmp_path)
     assert indices_of(recording) == list(range(8))
     assert recording.lost == 0
 
 
-def test_observations_that_were_not_recorded_are_counted_and_leave_no_gap(tmp_path):
+def test_split_bags_are_ordered_by_stamp(tmp_path):
+    """`rosbag record --split` numbers without padding: run_10 sorts before run_2 by name."""
+    for part in range(12):
+        record(tmp_path / f"run_{part}.bag", range(3 * part, 3 * part + 3))
+    recording = Recording(tmp_path)
+    assert indices_of(recording) == list(range(36))
+    assert recording.warnings() == []
+
+
+def test_bag_order_ignores_names(tmp_path):
+    record(tmp_path / "z.bag", range(3))
+    record(tmp_path / "a.bag", range(3, 6))
+    assert indices_of(Recording(tmp_path)) == list(range(6))
+
+
+def test_second_run_is_left_out_and_reported(tmp_path):
+    """Two runs in one bag: the second is longer, so that its numbers continue those of the first."""
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for start, count in ((10, 5), (1000, 9)):
+            for index in range(count):
+                bag.write("/observation", observation(index, start=start), rospy.Time(start + index))
+    recording = Recording(tmp_path / "a.bag")
+    assert indices_of(recording) == list(range(5))
+    (warning,) = recording.warnings()
+    assert "holds more than one run" in warning
+    assert "9 observations of others are left out" in warning
+
+
+def test_second_simulated_run_with_same_stamps_is_detected(tmp_path):
+    """Simulated runs all begin at the same time: only the content differs."""
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for seed in (0, 100):
+            for index in range(5):
+                item = observation(index)
+                item.image = image_message(item.header.stamp, picture(index + seed))
+                bag.write("/observation", item, rospy.Time(1))
+    recording = Recording(tmp_path / "a.bag")
+    assert recording.count(CONFIG) == 5
+    assert "5 observations of others are left out" in recording.warnings()[0]
+
+
+def test_copied_bag_adds_nothing(tmp_path):
+    """`rosbag reindex` leaves a copy of the original next to the bag."""
+    for name in ("a.bag", "a.orig.bag"):
+        record(tmp_path / name, range(5))
+    recording = Recording(tmp_path)
+    assert indices_of(recording) == list(range(5))
+    assert recording.warnings() == []
+
+
+def test_observations_made_again_are_used_once(tmp_path):
+    """After a power failure a resumed run makes its last observations again, with new stamps and images."""
+    record(tmp_path / "a.bag", range(6))
+    record(tmp_path / "b.bag", range(5, 8), start=50)
+    recording = Recording(tmp_path)
+    assert [item.header.stamp.secs for item in recording.observations(CONFIG)] == [*range(10, 16), 56, 57]
+    assert "1 observations were recorded twice" in recording.warnings()[0]
+
+
+def test_lost_observations_are_counted(tmp_path):
     recording = Recording(record(tmp_path / "a.bag", [1, 2, 5]))
     assert indices_of(recording) == [1, 2, 5]
     assert recording.lost == 3
+    assert recording.warnings() == ["3 observations of the run were not recorded: the others are used"]
 
 
-def test_of_several_systems_in_a_bag_one_has_to_be_named(tmp_path):
+def test_several_systems_require_a_namespace(tmp_path):
     record(tmp_path / "a.bag", range(3), "/left")
     assert indices_of(Recording(tmp_path)) == [0, 1, 2]
     record(tmp_path / "b.bag", range(5), "/right")
-    with pytest.raises(BagError, match="holds several systems, /left, /right: say which one by namespace:="):
+    with pytest.raises(BagError, match="has several systems, /left, /right: select one with namespace:="):
         Recording(tmp_path)
     assert len(indices_of(Recording(tmp_path, "right"))) == 5
 
 
-def test_pictures_of_another_size_are_cropped_and_scaled(tmp_path):
+def test_images_are_cropped_and_scaled(tmp_path):
     recording = Recording(record(tmp_path / "a.bag", range(2), size=24))
     found = [np.frombuffer(item.image.data, np.uint8).reshape(8, 8, 3) for item in recording.observations(CONFIG)]
     expected = picture(0, 24).reshape(8, 3, 8, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(found[0], expected, atol=1.0)
 
 
-def test_a_recording_knows_the_settings_of_its_run_and_a_profile_replaces_them(tmp_path):
+def test_profile_overrides_recorded_settings(tmp_path):
     with BagWriter(tmp_path / "a.bag") as bag:
         bag.write("/run_config", String(settings_text(CONFIG)), rospy.Time(1))
         for index in range(70):
@@ -87,11 +148,11 @@ def test_a_recording_knows_the_settings_of_its_run_and_a_profile_replaces_them(t
     assert (config.arm.robot, config.exploration.steps, config.training.learning_rate) == ("recording", 70, 0.002)
     assert config.camera.width == 8
     assert resolve_replay(recording, "paper", [*target, "exploration/steps=66"]).training.learning_rate == 0.001
-    with pytest.raises(BagError, match="holds 70 observations, 71 steps were asked for"):
+    with pytest.raises(BagError, match="has 70 observations, 71 steps were requested"):
         resolve_replay(recording, "", [*target, "exploration/steps=71"])
 
 
-def test_a_replay_that_is_resumed_makes_the_steps_that_it_was_to_make(tmp_path):
+def test_resumed_replay_keeps_its_number_of_steps(tmp_path):
     recording = Recording(record(tmp_path / "a.bag", range(80)))
     profile = tmp_path / "small.yaml"
     profile.write_text("camera: {width: 8, height: 8}\nexploration: {steps: 1000}\n")
@@ -103,7 +164,7 @@ def test_a_replay_that_is_resumed_makes_the_steps_that_it_was_to_make(tmp_path):
     assert more.exploration.steps == 75
 
 
-def test_too_few_observations_to_learn_from_can_be_stored_all_the_same(tmp_path):
+def test_few_observations_can_be_stored_as_session(tmp_path):
     recording, target = (
         Recording(record(tmp_path / "a.bag", range(5))),
         [f"session/root={tmp_path}", "session/name=few"],
@@ -118,29 +179,29 @@ def test_too_few_observations_to_learn_from_can_be_stored_all_the_same(tmp_path)
     ["camera: {widht: 8}", "!!python/object/apply:os.getcwd []", "[", "a: 1\n" * 10**5],
     ids=["mistyped", "code", "unfinished", "endless"],
 )
-def test_recorded_settings_that_are_none_are_refused(tmp_path, text):
+def test_invalid_recorded_settings_are_rejected(tmp_path, text):
     with BagWriter(tmp_path / "a.bag") as bag:
         bag.write("/run_config", String(text), rospy.Time(1))
         bag.write("/observation", observation(0), rospy.Time(1))
-    with pytest.raises(ConfigError, match=r"a.bag: the recorded settings cannot be used \("):
+    with pytest.raises(ConfigError, match=r"a.bag: invalid recorded settings: "):
         Recording(tmp_path / "a.bag").settings()
 
 
-def test_a_bag_without_anything_to_learn_from_is_refused_with_what_it_holds(tmp_path):
+def test_bag_without_observations_is_rejected(tmp_path):
     with BagWriter(tmp_path / "a.bag") as bag:
         bag.write("/camera/image_raw", image_message(rospy.Time(1), picture(0)), rospy.Time(1))
-    expected = "holds neither /observation nor both /camera/image_raw and /arm/state: .* there are /camera/image_raw"
+    expected = "has no topic /observation, nor both /camera/image_raw and /arm/state: .* found: /camera/image_raw"
     with pytest.raises(BagError, match=expected):
         Recording(tmp_path / "a.bag")
     (tmp_path / "a.bag").unlink()
-    with pytest.raises(BagError, match="holds no bag"):
+    with pytest.raises(BagError, match="no bag in"):
         Recording(tmp_path)
 
 
-def test_a_message_of_another_version_is_refused_by_its_checksum(tmp_path):
+def test_message_with_other_md5_sum_is_rejected(tmp_path):
     with rosbag.Bag(str(tmp_path / "a.bag"), "w") as bag:
         bag.write("/observation", String("import os"))
-    with pytest.raises(BagError, match=r"/observation is 'std_msgs/String' of another version than"):
+    with pytest.raises(BagError, match=r"/observation has type 'std_msgs/String' with another MD5 sum than"):
         Recording(tmp_path / "a.bag").count(CONFIG)
 
 
@@ -159,8 +220,32 @@ def record_motion(path, seconds, pose=lambda time: (0.4 + 0.05 * time, 0.0, 0.0)
     return Recording(path)
 
 
+def test_unstamped_images_are_reported(tmp_path):
+    with BagWriter(tmp_path / "a.bag") as bag:
+        for number in range(20):
+            stamp = rospy.Time(100 + number)
+            bag.write("/arm/state", state_message(stamp, (0.4 + 0.01 * number, 0.0, 0.0), STILL), stamp)
+            bag.write("/camera/image_raw", image_message(rospy.Time(), picture(number)), stamp)
+    with pytest.raises(ObservationError, match=r"the images have no time stamp \(header.stamp is 0\)"):
+        Recording(tmp_path / "a.bag").count(CONFIG)
+
+
+def test_repeated_images_are_paired_once(tmp_path):
+    """A folder with two copies of a bag of images and states."""
+    once = record_motion(tmp_path / "a.bag", 3.0).count(CONFIG)
+    (tmp_path / "copy.bag").write_bytes((tmp_path / "a.bag").read_bytes())
+    with pytest.raises(BagError, match=r"a.bag overlaps in time with another bag"):
+        Recording(tmp_path).count(CONFIG)
+    pairs = RecordedPairs(CONFIG)
+    found = []
+    for _ in range(2):
+        for name, message in Recording(tmp_path / "a.bag")._messages(("camera/image_raw", "arm/state")):
+            found += pairs.add_image(message) if name == "camera/image_raw" else pairs.add_state(message)
+    assert len(found) == once
+
+
 @pytest.mark.parametrize("size", [8, 24])
-def test_images_and_states_make_one_observation_a_step_with_the_pose_at_the_images_stamp(tmp_path, size):
+def test_images_are_paired_with_interpolated_states(tmp_path, size):
     found = list(record_motion(tmp_path / "a.bag", 3.0, size=size).observations(CONFIG))
     stamps = np.array([item.header.stamp.to_sec() for item in found])
     assert len(found) == 15
@@ -176,11 +261,11 @@ def test_images_and_states_make_one_observation_a_step_with_the_pose_at_the_imag
     ("now", "last", "due"),
     [(1.0, None, True), (1.1, 1.0, True), (1.09, 1.0, False), (1.0, 1.0, False), (0.5, 1.0, True)],
 )
-def test_an_image_is_taken_when_a_period_has_passed_or_time_has_gone_back(now, last, due):
+def test_image_is_due_after_period_or_clock_reset(now, last, due):
     assert is_due(rospy.Time(now), None if last is None else rospy.Time(last), 0.1) == due
 
 
-def test_images_while_the_arm_stands_still_or_is_elsewhere_are_no_observations(tmp_path):
+def test_images_at_rest_or_outside_workspace_are_skipped(tmp_path):
     stands = record_motion(tmp_path / "a.bag", 2.0, pose=lambda time: (0.4 + 0.05 * min(time, 1.0), 0.0, 0.0))
     assert stands.count(CONFIG) == 6
     outside = record_motion(tmp_path / "b.bag", 2.0, pose=lambda time: (0.2 + 0.15 * time, 0.0, 0.0))
@@ -189,16 +274,17 @@ def test_images_while_the_arm_stands_still_or_is_elsewhere_are_no_observations(t
     assert CONFIG.workspace.box().contains(np.array(states), 0.05).all()
 
 
-def test_images_that_no_planner_would_take_are_refused_with_the_reason(tmp_path):
+def test_rejected_images_are_reported_with_reason(tmp_path):
     blind = record_motion(tmp_path / "a.bag", 1.0, image=np.full((8, 8, 3), 9, np.uint8))
-    with pytest.raises(ObservationError, match=r"no image goes with a state of the arm: .*one single colour"):
+    with pytest.raises(ObservationError, match=r"no image matches an arm state: .*single colour"):
         blind.count(CONFIG)
     frozen = record_motion(tmp_path / "b.bag", 1.0, image=picture(0))
     assert frozen.count(CONFIG) == 1
-    assert "the same as from" in frozen.refused
+    assert "the same as from" in frozen.rejected
+    assert any("recorded images were rejected" in warning for warning in frozen.warnings())
 
 
-def test_a_bag_is_never_written_over_another_one_and_nothing_is_left_of_one_that_failed(tmp_path):
+def test_writer_keeps_existing_bag_and_removes_failed_one(tmp_path):
     record(tmp_path / "a.bag", range(2))
     with pytest.raises(BagError, match="exists: choose another name"):
         record(tmp_path / "a.bag", range(3))
@@ -207,7 +293,7 @@ def test_a_bag_is_never_written_over_another_one_and_nothing_is_left_of_one_that
     assert [path.name for path in tmp_path.iterdir()] == ["a.bag"]
 
 
-def test_until_it_is_closed_a_bag_has_another_name(tmp_path):
+def test_bag_has_temporary_name_until_closed(tmp_path):
     bag = BagWriter(tmp_path / "a.bag")
     bag.write("/observation", observation(0), rospy.Time(1))
     assert [path.name for path in tmp_path.iterdir()] == ["a.bag.active"]
@@ -218,7 +304,7 @@ def test_until_it_is_closed_a_bag_has_another_name(tmp_path):
     assert indices_of(Recording(tmp_path)) == [0]
 
 
-def test_the_bag_that_comes_with_the_package_is_of_the_profile_beside_it(tmp_path):
+def test_shipped_bag_matches_its_profile(tmp_path):
     bags = Path(__file__).resolve().parents[3] / "bags"
     recording = Recording(bags / "diagonal-small.bag")
     made = resolve(str(bags / "diagonal-small.yaml"), [f"session/root={tmp_path}"])

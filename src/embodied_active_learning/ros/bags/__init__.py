@@ -1,1 +1,1 @@
-"""Recording, reading and converting rosbags."""
+"""Record, read and convert ROS bags."""

@@ -1,4 +1,4 @@
-"""A session's observations as a bag, and a bag's as a session; what goes there comes back to the last bit."""
+"""Convert a session's observations into a bag and back without loss."""
 
 from __future__ import annotations
 
@@ -6,31 +6,44 @@ import shutil
 from pathlib import Path
 from typing import Dict, List
 
+import rospy
 from std_msgs.msg import Header, String
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError
 from embodied_active_learning.msg import Observation, TargetDistribution
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.bags.recording import Recording, recorded_stamp, settings_text
+from embodied_active_learning.ros.bags.recording import Recording
+from embodied_active_learning.ros.bags.run_settings import settings_text
 from embodied_active_learning.ros.bags.writer import BagWriter
 from embodied_active_learning.ros.conversions import image_array, image_message, state_arrays, state_message
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.workspace import STATE_NAMES
 
 MEASURES = ("ergodic_measure", "coverage", "distance", "turning", "effort")
-"""Columns of exploration.csv that go into a bag as target distributions, whose samples a session does not keep."""
+"""Columns of exploration.csv stored as target distributions; a session does not keep their samples."""
 
 
 def write_session(session_path: Path, bag_path: Path, compression: str = "none") -> int:
-    """Write a session's observations, images, states and measures into a new bag -> how many observations.
+    """Write a session's observations, images, states and measures into a new bag.
 
-    Stamps are kept to the nanosecond; velocities are not stored in a session, and are 0. compression: none, bz2 or lz4.
-    Raises SessionError for a session that cannot be read, BagError for a bag that cannot be written; nothing is left
-    of it then.
+    Velocities are not stored in a session and are written as 0. A bag that could not be completed is removed.
+
+    Args:
+        session_path: Folder of the session.
+        bag_path: The bag to write; must not exist.
+        compression: none, bz2 or lz4.
+
+    Returns:
+        The number of observations.
+
+    Raises:
+        SessionError: The session cannot be read.
+        BagError: The bag cannot be written.
     """
     bag_path = Path(bag_path)
     if bag_path.suffix != ".bag":
-        raise BagError(f"{bag_path} is no name for a bag: let it end with .bag")
+        raise BagError(f"invalid bag name {bag_path}: it must end in .bag")
     session = Session.open_read_only(session_path)
     rows = session.read_table("exploration")
     steps = {int(step): row for row, step in enumerate(rows["step"])}
@@ -52,9 +65,9 @@ def write_session(session_path: Path, bag_path: Path, compression: str = "none")
 
 
 def read_session(recording: Recording, config: Config) -> Path:
-    """Store a recording's observations, and its measures where none was lost, in a new session -> its folder.
+    """Store a recording's observations, and its measures if none was lost, in a new session -> its folder.
 
-    Raises SessionError when there is one of the name, and as Recording.observations does; nothing is left of it then.
+    Raises SessionError if the session exists, and as Recording.observations() does; the session is then removed.
     """
     with Session.open_for_writing(config) as session:
         try:
@@ -65,20 +78,30 @@ def read_session(recording: Recording, config: Config) -> Path:
         return session.paths.path
 
 
+def recorded_stamp(seconds: float) -> rospy.Time:
+    """Convert stored seconds to a stamp, to the nanosecond. Raises BagError outside the range of ROS times."""
+    whole = int(seconds // 1.0)
+    nanoseconds = round((seconds - whole) * 1e9)
+    if not 0 <= whole < 2**32 - 1:
+        raise BagError(f"cannot write the stamp {seconds!r} s into a bag: it is outside the range of ROS times")
+    return rospy.Time(whole, nanoseconds)
+
+
 def _fill(session: Session, recording: Recording) -> None:
+    """Append observations up to the configured number of steps, then their measures."""
     camera = session.config.camera
-    places: List[Dict[str, float]] = []
+    rows: List[Dict[str, float]] = []
     with session.open_observations() as store:
         for observation in recording.observations(session.config):
             if len(store) == session.config.exploration.steps:
                 break
             state, stamp = state_arrays(observation.state)[0], observation.header.stamp.to_sec()
             store.append(observation.index, stamp, state, image_array(observation.image, camera.height, camera.width))
-            places.append({"time": stamp, **dict(zip(("x", "y", "theta"), state.tolist()))})
+            rows.append({"time": stamp, **dict(zip(STATE_NAMES, state.tolist()))})
     if recording.lost or not recording.has_observations:
         return
     with session.open_table("exploration") as table:
         for message in recording.measures():
-            if message.step <= len(places):
+            if message.step <= len(rows):
                 measures = {name: getattr(message, name) for name in MEASURES}
-                table.append({"step": message.step, **places[message.step - 1], **measures})
+                table.append({"step": message.step, **rows[message.step - 1], **measures})

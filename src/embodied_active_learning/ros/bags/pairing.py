@@ -1,9 +1,10 @@
-"""Observations from recorded images and arm states: the pairing that a planner does while it runs, done afterwards."""
+"""Pair recorded images with recorded arm states, as the planner does during a run."""
 
 from __future__ import annotations
 
+import zlib
 from collections import Counter, deque
-from typing import Deque, Iterator, Optional, Tuple
+from typing import Deque, Iterator, Optional, Set, Tuple
 
 import rospy
 from sensor_msgs.msg import Image
@@ -13,23 +14,23 @@ from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.images import Framing, decode_raw
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros.camera.image_buffer import STILL_DISTANCE, STILL_TURN, ImageBuffer
-from embodied_active_learning.ros.camera.pose_buffer import KEPT, PoseBuffer, moved
+from embodied_active_learning.ros.camera.pose_buffer import CAPACITY, PoseBuffer, moved
 from embodied_active_learning.ros.conversions import image_message, state_arrays
 
-EARLIER = 0.001
-"""Seconds that a period may be shorter than asked for: stamps are not exact."""
-OUTSIDE = 0.05
-"""How far outside of the workspace, in half workspaces, images still count: the rest is no exploration."""
+PERIOD_TOLERANCE = 0.001
+"""Seconds by which a period may be shorter than requested, for inexact stamps."""
+WORKSPACE_TOLERANCE = 0.05
+"""Distance outside the workspace, in half workspaces, up to which images are used."""
 
 
 Pair = Tuple[Image, PlanarState]
-"""An image of the model's size, and the state that it was taken from, at the image's stamp."""
+"""An image of the model's size, and the arm state interpolated at its stamp."""
 
 
 class RecordedPairs:
-    """One pair for each step of exploration: an image that is as good as a planner asks for, from another place.
+    """Selects one pair per exploration step: an image the planner would accept, from a new position.
 
-    Messages go in as they were recorded; an image waits for the state after it, and is interpolated between two.
+    Messages are added in recorded order. An image is held back until the first state after it arrives.
     """
 
     def __init__(self, config: Config) -> None:
@@ -38,23 +39,31 @@ class RecordedPairs:
         self._workspace = config.workspace.box()
         self._poses = PoseBuffer(config)
         self._images = ImageBuffer(config.camera, self._poses)
-        self._waiting: Deque[Image] = deque(maxlen=KEPT)
+        self._waiting: Deque[Image] = deque(maxlen=CAPACITY)
         self._last: Optional[PlanarState] = None
-        self.refused: Counter = Counter()
-        """Why images could not be used, in words, and how many."""
+        self._seen: Set[Tuple[int, int]] = set()  # stamp (ns) and checksum of every image
+        self.rejected: Counter = Counter()
+        """Number of rejected images by reason."""
 
     def add_image(self, image: Image) -> Iterator[Pair]:
-        """Take in an image -> the pairs that this makes, mostly none."""
+        """Add an image and yield the pairs it completes; a repetition is skipped."""
+        identity = image.header.stamp.to_nsec(), zlib.crc32(image.data)
+        if identity in self._seen:
+            return iter(())
+        self._seen.add(identity)
+        if image.header.stamp.is_zero():
+            self.rejected["the images have no time stamp (header.stamp is 0); record a camera driver that sets it"] += 1
+            return iter(())
         self._waiting.append(image)
         return self._pairs()
 
     def add_state(self, state: PlanarState) -> Iterator[Pair]:
-        """Take in a state of the arm -> the pairs that this makes: of images that have waited for it."""
+        """Add an arm state and yield the pairs it completes."""
         self._poses.add(state)
         try:
             self._poses.raise_jump()
         except ObservationError as error:
-            self.refused[str(error)] += 1
+            self.rejected[str(error)] += 1
         return self._pairs()
 
     def _pairs(self) -> Iterator[Pair]:
@@ -65,39 +74,40 @@ class RecordedPairs:
                 yield pair
 
     def _pair(self, image: Image) -> Optional[Pair]:
+        stamp = image.header.stamp
         last = None if self._last is None else self._last.header.stamp
-        if not is_due(image.header.stamp, last, self._step):
+        if not is_due(stamp, last, self._step):
             return None
         try:
-            state = self._poses.at(image.header.stamp)
+            state = self._poses.at(stamp)
             if not self._is_wanted(state):
                 return None
             image = model_image(image, self._camera)
-            self._images.add(image, image.header.stamp)
+            self._images.add(image, stamp)
             self._images.view(state)
         except ObservationError as error:
-            self.refused[str(error)] += 1
+            self.rejected[str(error)] += 1
             return None
         self._last = state
         return image, state
 
     def _is_wanted(self, state: PlanarState) -> bool:
-        """Whether the arm is in the workspace, and has moved since the last pair."""
-        inside = self._workspace.contains(state_arrays(state)[0], OUTSIDE)
+        """Return whether the camera is in the workspace and has moved since the last pair."""
+        inside = self._workspace.contains(state_arrays(state)[0], WORKSPACE_TOLERANCE)
         return bool(inside) and (self._last is None or moved(self._last, state, STILL_DISTANCE, STILL_TURN))
 
 
 def is_due(stamp: rospy.Time, last: Optional[rospy.Time], period: float) -> bool:
-    """Whether a period [s] has passed since the last one, there was none, or time has gone back."""
+    """Return whether a period (s) has passed since the last stamp, there was none, or time went back."""
     elapsed = None if last is None else (stamp - last).to_sec()
-    return elapsed is None or elapsed < 0.0 or elapsed >= period - EARLIER
+    return elapsed is None or elapsed < 0.0 or elapsed >= period - PERIOD_TOLERANCE
 
 
-def model_image(picture: Image, camera: CameraConfig) -> Image:
-    """A recorded picture of any size as the model takes it, cropped in its middle and scaled.
+def model_image(image: Image, camera: CameraConfig) -> Image:
+    """Crop the centre of a recorded image and scale it to the model's size.
 
-    Raises ObservationError for one that is damaged, or of an encoding that cannot be decoded.
+    Raises ObservationError for a malformed image or an unsupported encoding.
     """
-    array = decode_raw(picture.data, picture.encoding, picture.height, picture.width, picture.step)
-    framing = Framing.between((picture.height, picture.width), (camera.height, camera.width))
-    return image_message(picture.header.stamp, framing.apply(array))
+    array = decode_raw(image.data, image.encoding, image.height, image.width, image.step)
+    framing = Framing.between((image.height, image.width), (camera.height, camera.width))
+    return image_message(image.header.stamp, framing.apply(array))

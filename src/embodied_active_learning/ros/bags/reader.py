@@ -1,39 +1,41 @@
-"""Reading ROS bags (format 2.0) from front to back: bytes in, messages as bytes out, and nothing of a bag is ever run.
+"""Read ROS bags (format 2.0) sequentially, without executing anything from them.
 
-rosbag's own reader makes Python code of the message definitions that it finds in a bag and imports it, has gpg open
-encrypted ones, and needs the index, which a bag lacks whose recorder was killed. A bag may come from anybody; so what
-is read here is bounded, and what a message means is taken from this computer's own message classes alone.
+Security property: no content of a bag is executed. rosbag's reader generates Python code from the message definitions
+stored in a bag and imports it, and starts gpg for encrypted bags. This reader ignores the stored definitions: a message
+is returned as bytes, to be deserialised by the message classes installed on this computer. All sizes are bounded before
+memory is allocated. The index is not needed, so bags of a recorder that was killed can be read too.
 """
 
 from __future__ import annotations
 
-import bz2
 import io
 import os
 import struct
 from pathlib import Path
-from typing import BinaryIO, Callable, Dict, Iterator, NamedTuple, Tuple
-
-import roslz4
+from typing import Callable, Dict, Iterator, NamedTuple, Tuple
 
 from embodied_active_learning.errors import BagError
 from embodied_active_learning.files import open_plain, shown
+from embodied_active_learning.ros.bags.chunk import ReadStream, decompress
 
-LARGEST_RECORD = 2**26
-"""Bytes of the largest chunk or message that is read: many times a camera's picture."""
+LARGEST_MESSAGE = 2**26
+"""Maximum size of a message that is read, in bytes; larger messages on other topics are skipped."""
+LARGEST_CHUNK = 2**30
+"""Maximum size of an uncompressed chunk in bytes. Chunks are streamed: the limit bounds time, not memory."""
 _LARGEST_HEADER = 2**16
 _LARGEST_DEFINITION = 2**20
-_MOST_CONNECTIONS = 10000
+_MAX_CONNECTIONS = 10000
+_MAX_TOPIC, _MAX_TYPE, _MD5_LENGTH = 1024, 256, 32  # characters; genmsg and roscpp stay far below
 _MAGIC = b"#ROSBAG V"
 _VERSION = b"2.0\n"
 _MESSAGE, _FILE_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
-_PIECE = 2**16  # compressed bytes that are unpacked at a time
+_BUFFER = 2**16
 
 Fields = Dict[str, bytes]
 
 
 class Connection(NamedTuple):
-    """What the messages of one publisher are, by their own account."""
+    """Topic and message type of one publisher, as recorded."""
 
     topic: str
     datatype: str  # such as sensor_msgs/Image
@@ -41,35 +43,38 @@ class Connection(NamedTuple):
 
 
 class BagMessage(NamedTuple):
-    """One message as it was recorded."""
+    """One recorded message."""
 
     connection: Connection
-    time: Tuple[int, int]  # s, ns: when it was recorded
+    time: Tuple[int, int]  # s, ns: time of recording
     data: bytes  # serialised
 
 
+class _LimitError(ValueError):
+    """A valid bag exceeds a limit of this reader."""
+
+
 class BagFile:
-    """The messages of one bag. One that was not closed, as its recorder was killed, is read to where it breaks off."""
+    """The messages of one bag. An unclosed bag (its recorder was killed) is read up to its last whole record."""
 
     def __init__(self, path: Path) -> None:
-        """Look at the beginning of the file. Raises BagError when it is no bag that can be read."""
+        """Read the file header. Raises BagError if the file is not a readable bag."""
         self.path = Path(path)
-        with self._opened() as stream:
-            self.closed, self._first = self._read_beginning(stream)
+        with self._open() as stream:
+            self.closed, self._first = self._read_file_header(stream)
 
     def read(self, wanted: Callable[[Connection], bool]) -> Iterator[BagMessage]:
-        """The messages on connections that are wanted, as they were recorded one after the other.
-
-        Raises BagError for a damaged bag.
-        """
-        with self._opened() as stream:
+        """Yield the messages of the wanted connections in file order. Raises BagError for a damaged bag."""
+        with self._open() as stream:
             size = os.fstat(stream.fileno()).st_size
             stream.seek(self._first)
             try:
                 yield from self._messages(_records(stream, size), {}, wanted)
+            except _LimitError as error:
+                raise BagError(f"{self.path}: {error}") from error
             except (EOFError, ValueError, struct.error) as error:
                 if self.closed:
-                    raise BagError(self._damage(str(error) or "it ends too early")) from error
+                    raise BagError(self._damage(str(error) or "unexpected end of file")) from error
             except OSError as error:
                 raise BagError(self._damage(str(error))) from error
 
@@ -83,164 +88,147 @@ class BagFile:
         for record in records:
             operation = record.number("op", "<B")
             if operation == _CONNECTION:
-                _connect(connections, record)
+                _add_connection(connections, record)
             elif operation == _CHUNK and not in_chunk:
-                chunk = _unpacked(record)
-                yield from self._messages(_records(io.BytesIO(chunk), len(chunk)), connections, wanted, in_chunk=True)
+                yield from self._messages(_chunk_records(record), connections, wanted, in_chunk=True)
             elif operation == _MESSAGE:
                 number = record.number("conn", "<L")
                 if number not in connections:
-                    raise ValueError("a message belongs to no publisher")
+                    raise ValueError("a message has no connection record")
                 if wanted(connections[number]):
                     yield BagMessage(connections[number], record.time(), record.data())
             elif in_chunk or operation not in (_INDEX, _CHUNK_INFO):
-                raise ValueError(f"a record is of the kind {operation}, which has no place there")
+                raise ValueError(f"unexpected record type {operation}")
 
-    def _opened(self) -> BinaryIO:
+    def _open(self) -> io.BufferedReader:
         try:
-            return io.BufferedReader(open_plain(self.path, follow=True), _PIECE)
-        except (OSError, ValueError) as error:  # the latter for names that no file can have
+            return io.BufferedReader(open_plain(self.path, follow=True), _BUFFER)  # type: ignore[arg-type]
+        except (OSError, ValueError) as error:  # ValueError: null byte in the path
             reason = getattr(error, "strerror", None) or error
-            raise BagError(f"{self.path} cannot be read ({reason}): give the path of a bag that is there") from error
+            raise BagError(f"cannot read {self.path}: {reason}; give the path of an existing bag") from error
 
-    def _read_beginning(self, stream: BinaryIO) -> Tuple[bool, int]:
-        """Whether the bag was closed, and where its first record begins."""
+    def _read_file_header(self, stream: io.BufferedReader) -> Tuple[bool, int]:
+        """Return whether the bag was closed, and the offset of its first record."""
         found = stream.read(len(_MAGIC) + len(_VERSION))
         if not found.startswith(_MAGIC):
-            raise BagError(
-                f"{self.path} is no ROS bag: give one that rosbag, record:=true or session_to_bag has written"
-            )
+            raise BagError(f"{self.path} is not a ROS bag: give one written by rosbag, record:=true or session_to_bag")
         if not found.endswith(_VERSION):
             version = found[len(_MAGIC) :].decode("ascii", "replace").strip()
-            raise BagError(f"{self.path} is of the bag format {shown(version)}: convert it with rosbag fix")
+            raise BagError(f"{self.path} has bag format {shown(version)}, expected 2.0: convert it with rosbag fix")
         try:
             header = next(_records(stream, os.fstat(stream.fileno()).st_size))
             if header.number("op", "<B") != _FILE_HEADER:
-                raise ValueError("its first record is no file header")
+                raise ValueError("the first record is not a file header")
             if header.fields.get("encryptor"):
-                raise BagError(f"{self.path} is encrypted: decrypt it with rosbag decompress first")
+                raise BagError(f"{self.path} is encrypted: decrypt it first with rosbag decompress")
             return header.number("index_pos", "<Q") > 0, header.end
         except (StopIteration, EOFError, ValueError, struct.error) as error:
-            raise BagError(self._damage(str(error) or "it ends too early")) from error
+            raise BagError(self._damage(str(error) or "unexpected end of file")) from error
 
     def _damage(self, reason: str) -> str:
-        return f"{self.path} is damaged ({reason}): put it back from a copy, or see what rosbag reindex can save"
+        return f"{self.path} is damaged: {reason}; restore it from a copy, or recover it with rosbag reindex"
 
 
 class _Record:
-    """One record: its fields, and its data, which are read only when they are asked for."""
+    """One record: its header fields, and its data, which are read on request."""
 
-    def __init__(self, stream: BinaryIO, end_of_all: int) -> None:
-        self._stream = stream
-        self.fields = _fields(_sized(stream, end_of_all, _LARGEST_HEADER))
-        (self._size,) = struct.unpack("<L", _exactly(stream, 4))
-        self._begin = stream.tell()
-        self.end = self._begin + self._size
+    def __init__(self, stream: ReadStream, end_of_stream: int) -> None:
+        self.stream = stream
+        self.fields = _parse_fields(_read_sized(stream, end_of_stream, _LARGEST_HEADER))
+        (self.size,) = struct.unpack("<L", _read_exactly(stream, 4))
+        self.end = stream.tell() + self.size
 
-    def data(self, largest: int = LARGEST_RECORD) -> bytes:
-        if self._size > largest:
-            raise ValueError(f"a record has {self._size} bytes, and {largest} are allowed")
-        self._stream.seek(self._begin)
-        return _exactly(self._stream, self._size)
+    def data(self, largest: int = LARGEST_MESSAGE) -> bytes:
+        """Return the record's data; only before the next record is read."""
+        if self.size > largest:
+            raise _LimitError(f"a record has {self.size} bytes, this reader accepts up to {largest}")
+        return _read_exactly(self.stream, self.size)
 
     def number(self, field: str, layout: str) -> int:
+        """Return an integer header field."""
         return struct.unpack(layout, self.fields.get(field, b""))[0]
 
-    def text(self, field: str) -> str:
-        return _text(self.fields, field)
+    def text(self, field: str, largest: int) -> str:
+        """Return a text header field of limited length."""
+        return _text(self.fields, field, largest)
 
     def time(self) -> Tuple[int, int]:
+        """Return the time of recording (s, ns)."""
         seconds, nanoseconds = struct.unpack("<LL", self.fields.get("time", b""))
         return seconds, nanoseconds
 
 
-def _records(stream: BinaryIO, size: int) -> Iterator[_Record]:
-    """The records of a stream from where it stands. Raises EOFError when the last one is not whole."""
+def _records(stream: ReadStream, end: int) -> Iterator[_Record]:
+    """Yield the records from the current position to an end. Raises EOFError if the last one is incomplete."""
     position = stream.tell()
-    while position < size:
-        record = _Record(stream, size)
-        if record.end > size:
+    while position < end:
+        record = _Record(stream, end)
+        if record.end > end:
             raise EOFError
         yield record
         position = record.end
         stream.seek(position)
 
 
-def _connect(connections: Dict[int, Connection], record: _Record) -> None:
-    if len(connections) >= _MOST_CONNECTIONS:
-        raise ValueError(f"it has more than {_MOST_CONNECTIONS} publishers")
-    own = _fields(record.data(_LARGEST_DEFINITION))
+def _chunk_records(chunk: _Record) -> Iterator[_Record]:
+    """Yield the records inside a chunk."""
+    size = chunk.number("size", "<L")
+    if size > LARGEST_CHUNK:
+        raise _LimitError(
+            f"a chunk has {size} bytes, this reader accepts up to {LARGEST_CHUNK}: rewrite the bag with smaller chunks "
+            "(rosbag filter IN.bag OUT.bag True)"
+        )
+    compression = chunk.text("compression", _MAX_TYPE)
+    if compression == "none":
+        if chunk.size != size:
+            raise ValueError(f"a chunk has {chunk.size} bytes, its header says {size}")
+        yield from _records(chunk.stream, chunk.end)
+        return
+    content = decompress(compression, chunk.stream, chunk.size)
+    yield from _records(content, size)
+    if content.read(1):
+        raise ValueError(f"a chunk has more than the {size} bytes in its header")
+
+
+def _add_connection(connections: Dict[int, Connection], record: _Record) -> None:
+    if len(connections) >= _MAX_CONNECTIONS:
+        raise _LimitError(f"more than {_MAX_CONNECTIONS} connections: extract the topics you need with rosbag filter")
+    own = _parse_fields(record.data(_LARGEST_DEFINITION))
     connections[record.number("conn", "<L")] = Connection(
-        record.text("topic"), _text(own, "type"), _text(own, "md5sum")
+        record.text("topic", _MAX_TOPIC), _text(own, "type", _MAX_TYPE), _text(own, "md5sum", _MD5_LENGTH)
     )
 
 
-def _unpacked(record: _Record) -> bytes:
-    """The content of a chunk."""
-    compression, size = record.text("compression"), record.number("size", "<L")
-    if size > LARGEST_RECORD:
-        raise ValueError(f"a chunk has {size} bytes, and {LARGEST_RECORD} are allowed")
-    data = record.data()
-    if compression == "none":
-        content = data
-    elif compression == "bz2":
-        content = _unpacked_bz2(data, size)
-    elif compression == "lz4":
-        content = _unpacked_lz4(data, size)
-    else:
-        raise ValueError(f"a chunk is compressed by {shown(compression)}")
-    if len(content) != size:
-        raise ValueError(f"a chunk has {len(content)} bytes, and should have {size}")
-    return content
-
-
-def _unpacked_bz2(data: bytes, size: int) -> bytes:
-    try:
-        return bz2.BZ2Decompressor().decompress(data, max_length=size + 1)
-    except OSError as error:
-        raise ValueError(f"a chunk cannot be unpacked: {error}") from error
-
-
-def _unpacked_lz4(data: bytes, size: int) -> bytes:
-    decompressor, parts, total = roslz4.LZ4Decompressor(), [], 0
-    for start in range(0, len(data), _PIECE):
-        try:
-            parts.append(decompressor.decompress(data[start : start + _PIECE]))
-        except Exception as error:  # roslz4 has errors of its own kind, some of which are bare
-            raise ValueError(f"a chunk cannot be unpacked: {error!r}") from error
-        total += len(parts[-1])
-        if total > size:
-            raise ValueError(f"a chunk has more than its {size} bytes")
-    return b"".join(parts)
-
-
-def _fields(content: bytes) -> Fields:
-    """name=value pairs, each with its length before it."""
+def _parse_fields(content: bytes) -> Fields:
+    """Parse name=value pairs, each preceded by its length."""
     fields: Fields = {}
     stream = io.BytesIO(content)
     while stream.tell() < len(content):
-        name, equals, value = _sized(stream, len(content), len(content)).partition(b"=")
+        name, equals, value = _read_sized(stream, len(content), len(content)).partition(b"=")
         if not equals:
-            raise ValueError("a field has no value")
+            raise ValueError("a header field has no value")
         fields[name.decode("ascii", "replace")] = value
     return fields
 
 
-def _text(fields: Fields, name: str) -> str:
-    return fields.get(name, b"").decode("utf-8", "replace")
+def _text(fields: Fields, name: str, largest: int) -> str:
+    value = fields.get(name, b"")
+    if len(value) > largest:
+        raise _LimitError(f"the {name} of a connection has {len(value)} bytes, this reader accepts up to {largest}")
+    return value.decode("utf-8", "replace")
 
 
-def _sized(stream: BinaryIO, end: int, largest: int) -> bytes:
-    """Bytes that have their length before them."""
-    (size,) = struct.unpack("<L", _exactly(stream, 4))
+def _read_sized(stream: ReadStream, end: int, largest: int) -> bytes:
+    """Read bytes preceded by their length."""
+    (size,) = struct.unpack("<L", _read_exactly(stream, 4))
     if stream.tell() + size > end:
         raise EOFError
     if size > largest:
-        raise ValueError(f"a header has {size} bytes, and {largest} are allowed")
-    return _exactly(stream, size)
+        raise ValueError(f"a header has {size} bytes, {largest} are allowed")
+    return _read_exactly(stream, size)
 
 
-def _exactly(stream: BinaryIO, size: int) -> bytes:
+def _read_exactly(stream: ReadStream, size: int) -> bytes:
     data = stream.read(size)
     if len(data) != size:
         raise EOFError

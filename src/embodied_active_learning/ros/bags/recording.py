@@ -1,25 +1,28 @@
-"""What a recorded run holds for learning: its observations in their order, and the settings it was made with."""
+"""A recorded run: its observations in order, its measures, and its settings."""
 
 from __future__ import annotations
 
 import os
+import re
+import zlib
 from collections import Counter
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Set, Tuple, Type
+from typing import Any, Dict, Iterator, List, Set, Tuple, Type, Union
 
 import genpy
 import rospy
-import yaml
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, ConfigError, ObservationError
-from embodied_active_learning.files import LARGEST_YAML, parse_yaml, shown
+from embodied_active_learning.files import shown
 from embodied_active_learning.msg import Observation, PlanarState, TargetDistribution
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, model_image
 from embodied_active_learning.ros.bags.reader import BagFile, BagMessage, Connection
+from embodied_active_learning.ros.bags.run_filter import RunFilter
+from embodied_active_learning.ros.bags.run_settings import read_settings
 
 SUFFIXES = (".bag", ".bag.active")
 _CLASSES: Dict[str, Type[genpy.Message]] = {
@@ -29,68 +32,88 @@ _CLASSES: Dict[str, Type[genpy.Message]] = {
     names.TARGET_DISTRIBUTION: TargetDistribution,
     names.RUN_CONFIG: String,
 }
-_MOST_TOLD = 8  # topics or reasons that a message names
+_OVERLAP_TOLERANCE = rospy.Duration(1)
+_MAX_LISTED = 8  # topics or reasons in a message
 
 
 class Recording:
-    """The bags of one run, one after the other."""
+    """The bags of one run, ordered by the stamp of their first message."""
 
     def __init__(self, path: Path, namespace: str = "") -> None:
-        """path: a bag, or a folder whose bags are read in the order of their names, as those of a run that was resumed.
+        """Open a bag, or all bags of a folder.
 
-        namespace: of the system that was recorded; empty where there is only one. Raises BagError when there is
-        nothing to learn from.
+        Args:
+            path: A bag, or a folder with the bags of one run (split, or resumed).
+            namespace: Namespace of the recorded system; required if the bags hold several.
+
+        Raises:
+            BagError: No bag, a damaged bag, or nothing to learn from.
         """
         self.path = Path(os.path.abspath(os.path.expanduser(path)))
-        self.bags = [BagFile(found) for found in _bags(self.path)]
+        self.bags = [BagFile(found) for found in _find_bags(self.path)]
         self.lost = 0
-        """Observations that were made but not recorded, as far as the last one who went through them has seen."""
-        self._refused: Counter = Counter()
-        self._settings: Dict[str, str] = {}
+        """Observations of the run that were not recorded, after observations() has been read."""
+        self._other_runs = self._repeated = 0
+        self._rejected: Counter = Counter()
+        self._settings: Dict[Path, Dict[str, str]] = {}  # bag -> topic -> first message
         topics = self._survey()
         self._namespace = self._find_namespace(topics, namespace)
-        self.has_observations = self._name(names.OBSERVATION) in topics
-        if not (self.has_observations or {self._name(names.CAMERA_IMAGE), self._name(names.ARM_STATE)} <= topics):
+        self.has_observations = self._absolute_name(names.OBSERVATION) in topics
+        image, state = self._absolute_name(names.CAMERA_IMAGE), self._absolute_name(names.ARM_STATE)
+        if not (self.has_observations or {image, state} <= topics):
             raise BagError(
-                f"{self.path} holds neither {self._name(names.OBSERVATION)} nor both {self._name(names.CAMERA_IMAGE)} "
-                f"and {self._name(names.ARM_STATE)}: record them; there are {_told(topics)}"
+                f"{self.path} has no topic {self._absolute_name(names.OBSERVATION)}, nor both {image} and {state}: "
+                f"record them; topics found: {_listed(topics)}"
             )
+        self._starts = self._sort_bags()
 
     @property
-    def unclosed(self) -> List[Path]:
-        """The bags whose recorder was killed: what they hold is read up to where they break off."""
-        return [bag.path for bag in self.bags if not bag.closed]
+    def rejected(self) -> str:
+        """Reasons why images were rejected, after observations() has been read; empty if none was."""
+        return "; ".join(f"{reason} ({count} images)" for reason, count in self._rejected.most_common(_MAX_LISTED))
 
-    @property
-    def refused(self) -> str:
-        """Why images were left out that a planner would refuse, as far as one has gone through them; empty for none."""
-        return "; ".join(f"{reason} ({count} times)" for reason, count in self._refused.most_common(_MOST_TOLD))
+    def warnings(self) -> List[str]:
+        """Return what was missing or left out, after observations() has been read."""
+        found = [f"{bag.path} is incomplete: its recorder was killed; using what it has" for bag in self._unclosed()]
+        if self.lost:
+            found.append(f"{self.lost} observations of the run were not recorded: the others are used")
+        if self._other_runs:
+            found.append(
+                f"{self.path} holds more than one run: the first one is used, {self._other_runs} observations of "
+                "others are left out; extract them by time with rosbag filter to use them"
+            )
+        if self._repeated:
+            found.append(f"{self._repeated} observations were recorded twice with different content: the first is used")
+        if self.rejected:
+            found.append(f"recorded images were rejected: {self.rejected}")
+        return found
 
     def settings(self) -> Dict[str, Any]:
-        """Sections of keys: what the run was configured with, less its session; nothing where that is not recorded.
+        """Return the run's configuration as sections of keys, without its session; empty if it was not recorded.
 
-        Raises ConfigError when this version cannot use them.
+        Raises ConfigError if this version cannot use it.
         """
-        text = self._settings.get(self._name(names.RUN_CONFIG), "")
+        topic = self._absolute_name(names.RUN_CONFIG)
+        text = next((self._settings[bag.path][topic] for bag in self.bags if topic in self._settings[bag.path]), "")
         if not text:
             return {}
         try:
             return read_settings(text)
         except ValueError as error:
             raise ConfigError(
-                f"{self.path}: the recorded settings cannot be used ({error}): replay it by the version that has "
-                "recorded it"
+                f"{self.path}: invalid recorded settings: {error}; replay the bag with the version that recorded it"
             ) from error
 
     def count(self, config: Config) -> int:
-        """How many observations there are for a configuration. Raises as observations does."""
+        """Return the number of observations for a configuration. Raises as observations() does."""
         return sum(1 for _ in self.observations(config))
 
     def observations(self, config: Config) -> Iterator[Observation]:
-        """The observations, numbered from 0 whatever was lost, as the trainer takes them.
+        """Yield the observations, numbered consecutively from 0, with images of the model's size.
 
-        Raises BagError for a damaged bag and where there are none at all, ObservationError for images that the
-        configured model does not take.
+        Raises:
+            BagError: A bag is damaged, or there is no observation.
+            ObservationError: The images are unusable.
         """
         found = self._recorded(config) if self.has_observations else self._paired(config)
         index = -1
@@ -98,49 +121,63 @@ class Recording:
             observation.index = index
             yield observation
         if index < 0:
-            raise BagError(f"{self.path} holds no observation that can be used: see whether it is of the right run")
+            raise BagError(f"{self.path} has no usable observation: check that it is a recording of a learning run")
 
     def measures(self) -> Iterator[TargetDistribution]:
-        """What was told of each step, in their order and each once. Raises BagError for a damaged bag."""
-        last = 0
+        """Yield the target distribution of each step once, in order. Raises BagError for a damaged bag."""
+        run = RunFilter(last=0)
         for _, message in self._messages((names.TARGET_DISTRIBUTION,)):
-            if message.step > last:
-                last = message.step
+            if run.accept(message.step, (message.header.stamp.to_nsec(), message.ergodic_measure, message.distance)):
                 yield message
 
     def _recorded(self, config: Config) -> Iterator[Observation]:
-        """Observations as they were handed to the trainer, each once: a resumed run may have told one again."""
-        self.lost, last = 0, -1
+        """Yield the observations that were sent to the trainer."""
+        run = RunFilter(last=-1)
         for _, observation in self._messages((names.OBSERVATION,)):
-            if observation.index <= last:
-                continue
-            self.lost += observation.index - last - 1
-            last = observation.index
-            observation.image = model_image(observation.image, config.camera)
-            yield observation
+            accepted = run.accept(
+                observation.index, (observation.header.stamp.to_nsec(), zlib.crc32(observation.image.data))
+            )
+            self.lost, self._other_runs, self._repeated = run.lost, run.other_runs, run.repeated
+            if accepted:
+                observation.image = model_image(observation.image, config.camera)
+                yield observation
 
     def _paired(self, config: Config) -> Iterator[Observation]:
-        """Observations made of images and arm states."""
-        pairs, any_yet = RecordedPairs(config), False
-        self._refused = pairs.refused
+        """Yield observations made from images and arm states."""
+        pairs, empty = RecordedPairs(config), True
+        self._rejected = pairs.rejected
         for name, message in self._messages((names.CAMERA_IMAGE, names.ARM_STATE)):
             add = pairs.add_image if name == names.CAMERA_IMAGE else pairs.add_state
             for image, state in add(message):
-                any_yet = True
+                empty = False
                 yield Observation(state.header, 0, state, image)
-        if self.refused and not any_yet:
-            raise ObservationError(f"{self.path}: no image goes with a state of the arm: {self.refused}")
+        if self.rejected and empty:
+            raise ObservationError(f"{self.path}: no image matches an arm state: {self.rejected}")
 
     def _messages(self, wanted: Tuple[str, ...]) -> Iterator[Tuple[str, genpy.Message]]:
-        """Messages by the relative names of their topics."""
-        topics = {self._name(name): name for name in wanted}
-        for bag in self.bags:
-            for message in bag.read(lambda connection: _absolute(connection.topic) in topics):
-                name = topics[_absolute(message.connection.topic)]
-                yield name, _message(bag, message, _CLASSES[name])
+        """Yield messages with the relative names of their topics."""
+        for bag, following in zip(self.bags, [*self._starts[1:], None]):
+            for name, message in self._read(bag, wanted):
+                self._check_overlap(bag, message, following)
+                yield name, message
+
+    def _read(self, bag: BagFile, wanted: Tuple[str, ...]) -> Iterator[Tuple[str, genpy.Message]]:
+        topics = {self._absolute_name(name): name for name in wanted}
+        for message in bag.read(lambda connection: _absolute(connection.topic) in topics):
+            name = topics[_absolute(message.connection.topic)]
+            yield name, _deserialise(bag, message, _CLASSES[name])
+
+    def _check_overlap(self, bag: BagFile, message: genpy.Message, following: Union[rospy.Time, None]) -> None:
+        """Refuse bags recorded at the same time: images and states would be read in the wrong order."""
+        if following is None or self.has_observations or message.header.stamp <= following + _OVERLAP_TOLERANCE:
+            return
+        raise BagError(
+            f"{bag.path} overlaps in time with another bag in {self.path}: record images and arm states into one bag, "
+            "or give a single bag"
+        )
 
     def _survey(self) -> Set[str]:
-        """The topics of all bags; keeps the newest settings on the way."""
+        """Return the topics of all bags, and store the first settings of each bag."""
         topics: Set[str] = set()
 
         def wanted(connection: Connection) -> bool:
@@ -148,9 +185,28 @@ class Recording:
             return _absolute(connection.topic).endswith(f"/{names.RUN_CONFIG}")
 
         for bag in self.bags:
+            found = self._settings[bag.path] = {}
             for message in bag.read(wanted):
-                self._settings[_absolute(message.connection.topic)] = _message(bag, message, String).data
+                found.setdefault(_absolute(message.connection.topic), _deserialise(bag, message, String).data)
         return topics
+
+    def _sort_bags(self) -> List[rospy.Time]:
+        """Sort the bags by first stamp, equal ones by name -> first stamps; bags without messages come last."""
+        if len(self.bags) == 1:
+            return [rospy.Time()]
+        starts = {bag.path: self._first_stamp(bag) for bag in self.bags}
+        self.bags.sort(key=lambda bag: (starts[bag.path], _natural_order(bag.path.name)))
+        return [starts[bag.path] for bag in self.bags]
+
+    def _first_stamp(self, bag: BagFile) -> rospy.Time:
+        wanted = (names.OBSERVATION,) if self.has_observations else (names.CAMERA_IMAGE, names.ARM_STATE)
+        for _, message in self._read(bag, wanted):
+            if not message.header.stamp.is_zero():
+                return message.header.stamp
+        return rospy.Time(2**32 - 1)
+
+    def _unclosed(self) -> List[BagFile]:
+        return [bag for bag in self.bags if not bag.closed]
 
     def _find_namespace(self, topics: Set[str], given: str) -> str:
         if given.strip("/"):
@@ -158,69 +214,48 @@ class Recording:
         for name in (names.OBSERVATION, names.CAMERA_IMAGE):
             spaces = sorted(topic[: -len(name) - 1] for topic in topics if topic.endswith(f"/{name}"))
             if len(spaces) > 1:
-                told = ", ".join(space or "/" for space in spaces)
-                raise BagError(f"{self.path} holds several systems, {told}: say which one by namespace:=")
+                listed = _listed({space or "/" for space in spaces})
+                raise BagError(f"{self.path} has several systems, {listed}: select one with namespace:=")
             if spaces:
                 return spaces[0]
         return ""
 
-    def _name(self, name: str) -> str:
+    def _absolute_name(self, name: str) -> str:
         return f"{self._namespace}/{name}"
 
 
-def settings_text(config: Config) -> str:
-    """What a bag tells of the configuration that it was made with: everything but where it lay on that computer."""
-    values = config.to_dict()
-    values.pop("session")
-    values["simulation"]["world"] = Path(config.simulation.world).stem
-    return yaml.safe_dump(values, sort_keys=False)
-
-
-def read_settings(text: str) -> Dict[str, Any]:
-    """Sections of keys as settings_text has written them. Raises ValueError for what is none, or of another version."""
-    if len(text) > LARGEST_YAML:
-        raise ValueError(f"it has {len(text)} characters, and {LARGEST_YAML} are allowed")
-    values = Config.from_dict(parse_yaml(text)).to_dict()
-    values.pop("session")
-    return values
-
-
-def recorded_stamp(seconds: float) -> rospy.Time:
-    """Stored seconds as a stamp, to the nanosecond. Raises BagError for a time that no stamp can tell."""
-    whole = int(seconds // 1.0)
-    nanoseconds = round((seconds - whole) * 1e9)
-    if not 0 <= whole < 2**32 - 1:
-        raise BagError(f"the stamp {seconds!r} s cannot be written into a bag: it is none that ROS gives")
-    return rospy.Time(whole, nanoseconds)
-
-
-def _bags(path: Path) -> List[Path]:
+def _find_bags(path: Path) -> List[Path]:
     if not path.is_dir():
         return [path]
-    found = sorted(item for item in path.iterdir() if item.name.endswith(SUFFIXES))
+    found = [item for item in path.iterdir() if item.name.endswith(SUFFIXES)]
     if not found:
-        raise BagError(f"{path} holds no bag: give the path of one, or the folder bags/ of a session")
+        raise BagError(f"no bag in {path}: give the path of one, or the folder bags/ of a session")
     return found
 
 
-def _message(bag: BagFile, message: BagMessage, expected: Type[genpy.Message]) -> genpy.Message:
-    """A message of a class that is expected. Raises BagError for another one, or a damaged one."""
+def _natural_order(name: str) -> List[Tuple[int, str]]:
+    """Sort key that orders run_2 before run_10."""
+    return [(int(part) if part.isdecimal() else -1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _deserialise(bag: BagFile, message: BagMessage, expected: Type[genpy.Message]) -> genpy.Message:
+    """Deserialise a message of the expected class. Raises BagError for another class, or a malformed message."""
     connection = message.connection
     if (connection.datatype, connection.md5sum) != (expected._type, expected._md5sum):
         raise BagError(
-            f"{bag.path}: {connection.topic} is {shown(connection.datatype)} of another version than this package's "
-            f"{expected._type}: convert it with rosbag fix, or use the version that has recorded it"
+            f"{bag.path}: {connection.topic} has type {shown(connection.datatype)} with another MD5 sum than "
+            f"{expected._type}: convert it with rosbag fix, or use the version that recorded it"
         )
     try:
         return expected().deserialize(message.data)
     except (genpy.DeserializationError, ValueError) as error:
-        raise BagError(f"{bag.path}: a message of {connection.topic} is damaged ({error}): use another bag") from error
+        raise BagError(f"{bag.path}: malformed message on {connection.topic}: {error}; use another bag") from error
 
 
 def _absolute(topic: str) -> str:
     return f"/{topic.lstrip('/')}"
 
 
-def _told(topics: Set[str]) -> str:
-    more = f", and {len(topics) - _MOST_TOLD} more" if len(topics) > _MOST_TOLD else ""
-    return (", ".join(sorted(topics)[:_MOST_TOLD]) or "no messages at all") + more
+def _listed(topics: Set[str]) -> str:
+    more = f", and {len(topics) - _MAX_LISTED} more" if len(topics) > _MAX_LISTED else ""
+    return (", ".join(sorted(topics)[:_MAX_LISTED]) or "none") + more

@@ -1,4 +1,4 @@
-"""From a recording and arguments to the configuration of a session that learns from it, or only stores it."""
+"""Derive the configuration of a session from a recording, for learning from it or for storing it."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from embodied_active_learning.ros.bags.recording import Recording
 
 
 def resolve_replay(recording: Recording, profile: str, overrides: Sequence[str]) -> Config:
-    """The configuration of a run on a recording: what it was recorded with, a profile, and overrides.
+    """Return the configuration of a learning run on a recording: recorded settings, then profile, then overrides.
 
-    A new run makes as many steps as there are observations, a resumed one as many as it was to make, unless an override
-    says otherwise. Raises as resolve does, and BagError or ObservationError for a recording that cannot be learned
-    from.
+    Unless overridden, a new run has as many steps as there are observations, and a resumed one keeps its number.
+    Raises as resolve() does, and BagError or ObservationError for an unusable recording.
     """
     overrides = [*overrides, f"arm/robot={RECORDED}"]
     recorded = recording.settings()
-    before = combine(profile, overrides, recorded=recorded)
-    found = recording.count(before)
-    steps = combine("", overrides, recorded=recorded).exploration.steps if before.session.resume else found
+    preliminary = combine(profile, overrides, recorded=recorded)
+    found = recording.count(preliminary)
+    resumed = preliminary.session.resume
+    steps = combine("", overrides, recorded=recorded).exploration.steps if resumed else found
     config = resolve(profile, [f"exploration/steps={steps}", *overrides], recorded=recorded)
     steps = config.exploration.steps
     if steps > found:
-        raise BagError(f"{recording.path} holds {found} observations, {steps} steps were asked for: ask for fewer")
+        raise BagError(f"{recording.path} has {found} observations, {steps} steps were requested: request fewer")
     return config
 
 
 def resolve_copy(recording: Recording, profile: str, overrides: Sequence[str]) -> Config:
-    """The configuration of a new session that holds a recording's observations, however few. Raises as resolve does.
+    """Return the configuration of a new session that stores all observations of a recording, however few.
 
-    BagError or ObservationError tell of a recording without observations.
+    Raises as resolve() does, and BagError or ObservationError for a recording without observations.
     """
     overrides = [*overrides, f"arm/robot={RECORDED}"]
     recorded = recording.settings()
-    before = combine(profile, overrides, recorded=recorded)
-    # A session of too few for learning is like one whose run was stopped.
-    steps = max(recording.count(before), before.training.first_update_at)
+    preliminary = combine(profile, overrides, recorded=recorded)
+    # With fewer observations than the first update needs, it is stored like a run that was stopped early.
+    steps = max(recording.count(preliminary), preliminary.training.first_update_at)
     return resolve(profile, [f"exploration/steps={steps}", *overrides], recorded=recorded)

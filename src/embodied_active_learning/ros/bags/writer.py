@@ -1,4 +1,4 @@
-"""Writing ROS bags: under a name of its own until the bag is closed, and never over one that is there."""
+"""Write ROS bags: under a temporary name until closed, and never over an existing file."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from embodied_active_learning.errors import BagError
 from embodied_active_learning.session.atomic import sync_folder
 
 ACTIVE = ".active"
-"""What follows the name of a bag that is being written, as rosbag has it; a recorder that is killed leaves it so."""
-_FIRST_INSTANT = genpy.Time(0, 1)  # rosbag takes no earlier one
+"""Suffix of a bag being written, as used by rosbag; it remains if the recorder is killed."""
+_FIRST_INSTANT = genpy.Time(0, 1)  # rosbag accepts no earlier time
 
 
 class BagWriter:
-    """One bag; any thread may write. Raises BagError when the disk fails; then nothing more is written."""
+    """Writes one bag; thread-safe. Raises BagError if the disk fails, and writes nothing afterwards."""
 
     def __init__(self, path: Path, compression: str = rosbag.Compression.NONE) -> None:
-        """Begin a bag that must not exist."""
+        """Create the bag. Raises BagError if it exists."""
         self.path = Path(path)
         self.messages = 0
         self._active = self.path.with_name(f"{self.path.name}{ACTIVE}")
@@ -31,7 +31,7 @@ class BagWriter:
         for taken in (self.path, self._active):
             if os.path.lexists(taken):
                 raise BagError(f"{taken} exists: choose another name, or move it away")
-        with self._told():
+        with self._disk_errors():
             self._stream = open(self._active, "x+b")  # noqa: SIM115  closed by close()
             self._bag: Optional[rosbag.Bag] = rosbag.Bag(self._stream, "w", compression=compression)
 
@@ -43,9 +43,9 @@ class BagWriter:
         return 0
 
     def write(self, topic: str, message: genpy.Message, time: genpy.Time, latched: bool = False) -> None:
-        """Append a message as published at a time; after the end of the bag nothing happens.
+        """Append a message published at a time; does nothing after close().
 
-        latched: whether who plays the bag should keep it for those who come later.
+        latched: whether rosbag play should latch the message.
         """
         kind = type(message)
         header = {"topic": topic, "type": kind._type, "md5sum": kind._md5sum, "message_definition": kind._full_text}
@@ -54,24 +54,24 @@ class BagWriter:
         with self._lock:
             if self._bag is None:
                 return
-            with self._told():
+            with self._disk_errors():
                 self._bag.write(topic, message, max(time, _FIRST_INSTANT), connection_header=header)
             self.messages += 1
 
     def close(self) -> None:
-        """Write the index, and give the bag its own name. A second call does nothing."""
+        """Write the index and rename the bag to its final name; a second call does nothing."""
         with self._lock:
             bag, self._bag = self._bag, None
             if bag is None:
                 return
-            with self._told():
+            with self._disk_errors():
                 bag.close()
                 self._stream.close()
                 os.rename(self._active, self.path)
                 sync_folder(self.path.parent)
 
     def discard(self) -> None:
-        """Leave nothing of the bag behind."""
+        """Delete the bag."""
         with self._lock:
             self._bag = None
             with suppress(OSError):
@@ -82,20 +82,20 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: Optional[type], *rest: object) -> None:
-        """Close the bag, or leave nothing of one that was not finished."""
+        """Close the bag, or delete it after an exception."""
         if kind is None:
             self.close()
         else:
             self.discard()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Turn what the disk refuses into an error that names the file."""
+    def _disk_errors(self) -> Iterator[None]:
+        """Turn OSError into BagError with the file's name."""
         try:
             yield
         except OSError as error:
             self._bag = None
             raise BagError(
-                f"{self._active} cannot be written ({error.strerror}): see to the disk; rosbag reindex saves "
-                "what is there"
+                f"cannot write {self._active}: {error.strerror}; check the disk, and recover the bag with "
+                "rosbag reindex"
             ) from error

@@ -1,1 +1,1 @@
-"""Camera images paired with the arm state at their stamps."""
+"""Camera images paired with the arm state at their stamp."""
