@@ -14,8 +14,8 @@ from embodied_active_learning.errors import BagError, ConfigError, ObservationEr
 from embodied_active_learning.pipeline.resolve import resolve
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, is_due
 from embodied_active_learning.ros.bags.recording import Recording
-from embodied_active_learning.ros.bags.run_settings import read_settings, settings_text
 from embodied_active_learning.ros.bags.replay_config import resolve_copy, resolve_replay
+from embodied_active_learning.ros.bags.run_settings import read_settings, settings_text
 from embodied_active_learning.ros.bags.writer import BagWriter
 from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
 from embodied_active_learning.session.session import Session

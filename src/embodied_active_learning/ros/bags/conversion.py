@@ -95,9 +95,9 @@ def _fill(session: Session, recording: Recording) -> None:
         for observation in recording.observations(session.config):
             if len(store) == session.config.exploration.steps:
                 break
-            state, stamp = state_arrays(observation.state)[0], observation.header.stamp.to_sec()
+            state, stamp = state_arrays(observation.state)[0].tolist(), observation.header.stamp.to_sec()
             store.append(observation.index, stamp, state, image_array(observation.image, camera.height, camera.width))
-            rows.append({"time": stamp, **dict(zip(STATE_NAMES, state.tolist()))})
+            rows.append({"time": stamp, **dict(zip(STATE_NAMES, state))})
     if recording.lost or not recording.has_observations:
         return
     with session.open_table("exploration") as table:

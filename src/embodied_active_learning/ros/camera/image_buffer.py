@@ -99,7 +99,10 @@ class ImageBuffer:
 
     def view(self, state: PlanarState) -> Image:
         """Return the newest image, taken from a state. Raises ObservationError if it is unusable."""
-        array = image_array(self._newest, self._config.height, self._config.width)
+        image = self._newest
+        if image is None:
+            raise ObservationError(f"no image on {rospy.resolve_name(names.CAMERA_IMAGE)} yet")
+        array = image_array(image, self._config.height, self._config.width)
         if not np.all(array == array[0, 0]):
             self._require_moving_content(state)
         elif not self._config.allow_featureless:
@@ -107,8 +110,8 @@ class ImageBuffer:
                 f"the image on {rospy.resolve_name(names.CAMERA_IMAGE)} has a single colour, {array[0, 0].tolist()}: "
                 "the camera is covered or broken; set camera/allow_featureless if a plain table is expected"
             )
-        self._used = self._newest.header.stamp
-        return self._newest
+        self._used = image.header.stamp
+        return image
 
     def _require_moving_content(self, state: PlanarState) -> None:
         """Raise ObservationError if the same content was seen from another state."""
