@@ -8,21 +8,30 @@ from typing import Any, Dict
 import yaml
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.files import LARGEST_YAML, parse_yaml
+from embodied_active_learning.config_versions import CONFIG_VERSION, FIRST_BAG_VERSION, stored_config
+from embodied_active_learning.files import LARGEST_YAML, parse_yaml, shown
 
 
 def settings_text(config: Config) -> str:
     """Return the configuration as YAML, without the recording computer's paths."""
-    values = config.to_dict()
+    values = {"version": CONFIG_VERSION, **config.to_dict()}
     values.pop("session")
     values["simulation"]["world"] = Path(config.simulation.world).stem
     return yaml.safe_dump(values, sort_keys=False)
 
 
 def read_settings(text: str) -> Dict[str, Any]:
-    """Parse the output of settings_text into sections of keys. Raises ValueError if malformed or of another version."""
+    """Parse the output of settings_text, of this or an older version, into sections of keys.
+
+    Raises:
+        ValueError: The text is malformed, or stored by a newer version.
+    """
     if len(text) > LARGEST_YAML:
         raise ValueError(f"it has {len(text)} characters, {LARGEST_YAML} are allowed")
-    values = Config.from_dict(parse_yaml(text)).to_dict()
+    stored = parse_yaml(text)
+    version = stored.pop("version", FIRST_BAG_VERSION) if isinstance(stored, dict) else FIRST_BAG_VERSION
+    if type(version) is not int:
+        raise ValueError(f"version is {shown(version)}: expected a whole number")
+    values = stored_config(stored, version).to_dict()
     values.pop("session")
     return values

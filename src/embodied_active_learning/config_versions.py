@@ -1,0 +1,53 @@
+"""Stored configurations of older versions: keys that were renamed since.
+
+A session and a recorded bag store the whole configuration with its version. Add a version here when a key is renamed
+or removed; a new key needs none, because it gets its default.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Mapping, Optional
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ConfigError
+
+CONFIG_VERSION = 3
+FIRST_BAG_VERSION = 2
+"""Version of the configuration in bags that do not state one."""
+
+_RENAMED: Mapping[int, Mapping[str, Optional[str]]] = {
+    3: {
+        "identification/mismatch_limit": "identification/residual_limit",
+        "identification/min_rise": "identification/min_prominence",
+    },
+}
+"""Version -> old key -> its name since that version, or None if it was removed."""
+
+
+def stored_config(values: Any, version: int) -> Config:
+    """Build a configuration that was stored by this version or an older one.
+
+    Raises:
+        ConfigError: The version is unknown, or a key is not legal.
+    """
+    if not 1 <= version <= CONFIG_VERSION:
+        raise ConfigError(
+            f"version {version} of the configuration is unknown: this package reads versions 1 to {CONFIG_VERSION}; "
+            "install the version of embodied_active_learning that stored it"
+        )
+    return Config.from_dict(_upgrade(values, version) if isinstance(values, dict) else values)
+
+
+def _upgrade(values: Dict[str, Any], version: int) -> Dict[str, Any]:
+    upgraded = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in values.items()}
+    for since in range(version + 1, CONFIG_VERSION + 1):
+        for old, new in _RENAMED.get(since, {}).items():
+            section, _, key = old.partition("/")
+            keys = upgraded.get(section)
+            if not isinstance(keys, dict) or key not in keys:
+                continue
+            value = keys.pop(key)
+            if new is not None:
+                section, _, key = new.partition("/")
+                upgraded.setdefault(section, {})[key] = value
+    return upgraded
