@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The pre-flight check beside a simulated arm, in a namespace where nothing is, and without a master."""
+"""Preflight with a simulated arm, in an empty namespace, and without a ROS master."""
 
 import sys
 import unittest
@@ -13,40 +13,40 @@ import rostest
 HERE = Path(__file__).resolve().parent
 sys.path += [str(HERE), str(HERE.parents[1] / "tools")]
 
-from preflight_run import AS_A_USER, TIMEOUT, PreflightRun  # noqa: E402  lies beside this file
+from preflight_run import ROSRUN, TIMEOUT, PreflightRun  # noqa: E402
 
-from free_port import free_port  # noqa: E402  lies in tools/, which is no package
+from free_port import free_port  # noqa: E402
 
 LAB = HERE / "lab.yaml"
 
 
 class PreflightTest(unittest.TestCase):
-    def test_beside_a_simulated_arm_all_is_well_and_nothing_has_moved(self):
+    def test_simulated_arm_passes_and_does_not_move(self):
         rospy.wait_for_service("arm/recover", TIMEOUT)
         before = rospy.wait_for_message("arm/state", PlanarState, TIMEOUT)
-        run = PreflightRun(command=AS_A_USER)
-        self.assertEqual(set(run.findings), run.about("OK"), run.output)
+        run = PreflightRun(command=ROSRUN)
+        self.assertEqual(set(run.levels), run.names("OK"), run.output)
         self.assertEqual(run.status, 0, run.output)
-        self.assertIn("all is well", run.output)
-        self.assertLessEqual({"arm state", "services", "images", "frames", "reach"}, run.about("OK"))
+        self.assertIn("ready (", run.output)
+        self.assertLessEqual({"arm state", "services", "images", "frames", "reach"}, run.names("OK"))
         after = rospy.wait_for_message("arm/state", PlanarState, TIMEOUT)
         self.assertEqual(after.header.stamp, before.header.stamp)
 
-    def test_of_a_real_robot_that_is_not_there_each_part_is_named_whatever_a_replay_has_left(self):
+    def test_absent_real_robot_is_reported_part_by_part(self):
         rospy.set_param("/empty/config", {"arm": {"robot": "recording"}})
         run = PreflightRun(f"--robot-profile={LAB}", "--seconds=0.5", ROS_NAMESPACE="empty")
         self.assertEqual(run.status, 1, run.output)
         wanted = {"configuration", "clock", "robot state", "controllers", "error recovery", "arm state", "services"}
         wanted |= {"camera", "images", "camera matrix", "frames"}
-        self.assertLessEqual(wanted, run.about("MISSING"), run.output)
-        self.assertEqual(run.findings["reach"], "OK", run.output)
-        self.assertIn("/empty/config is that of a replay", run.output)
+        self.assertLessEqual(wanted, run.names("ERROR"), run.output)
+        self.assertEqual(run.levels["reach"], "OK", run.output)
+        self.assertIn("/empty/config belongs to a replay", run.output)
 
-    def test_without_a_master_that_is_said_and_the_rest_is_looked_at(self):
+    def test_without_master_computer_is_still_checked(self):
         run = PreflightRun(f"--robot-profile={LAB}", ROS_MASTER_URI=f"http://localhost:{free_port(0)}")
         self.assertEqual(run.status, 1, run.output)
-        self.assertLessEqual({"master", "configuration"}, run.about("MISSING"), run.output)
-        self.assertEqual(run.findings["disk"], "OK", run.output)
+        self.assertLessEqual({"master", "configuration"}, run.names("ERROR"), run.output)
+        self.assertEqual(run.levels["disk"], "OK", run.output)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The pre-flight checks, each on what is good and on what is bad, without a master."""
+"""Preflight checks on good and bad input, without a ROS master."""
 
 import math
 from dataclasses import replace
@@ -10,23 +10,23 @@ import pytest
 from embodied_active_learning.config import Config
 from embodied_active_learning.franka.readiness import CONTROLLER, Controller
 from embodied_active_learning.geometry import intrinsics
-from embodied_active_learning.ros.preflight import computer, image, reach, robot
+from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
 from embodied_active_learning.ros.preflight.check_result import (
     ExitCode,
     Level,
+    error,
     exit_code,
-    fine,
-    missing,
+    ok,
     summary,
     warning,
 )
-from embodied_active_learning.ros.preflight.computer import Peer
+from embodied_active_learning.ros.preflight.network import Peer
 from embodied_active_learning.ros.preflight.robot import STATE_CONTROLLER
-from embodied_active_learning.ros.preflight.topics import Limits, Stream, check_stream
+from embodied_active_learning.ros.preflight.topics import TopicLimits, TopicStatistics, check_topic
 
 CONFIG = Config()
 FRANKA = replace(CONFIG, arm=replace(CONFIG.arm, robot="franka"))
-LIMITS = Limits(longest_gap=0.5, future=0.1)
+LIMITS = TopicLimits(max_age=0.5, max_future=0.1)
 STEADY = tuple(np.arange(0.1, 3.0, 0.1))
 
 
@@ -34,105 +34,105 @@ def with_franka(**changes):
     return replace(FRANKA, franka=replace(FRANKA.franka, **changes))
 
 
-def levels(findings):
-    return [finding.level.value for finding in findings]
+def levels(results):
+    return [result.level.value for result in results]
 
 
-def test_only_when_all_is_well_the_check_says_so():
-    good, doubt = fine("disk", "much"), warning("focus", "soft", "why", "how")
-    bad = missing("arm", "gone", "why", "how")
-    assert [exit_code(found) for found in ([good], [good, doubt], [good, doubt, bad])] == [
-        ExitCode.ALL_WELL,
-        ExitCode.WARNINGS,
-        ExitCode.MISSING,
+def test_summary_and_exit_code_of_the_most_severe_result():
+    good, doubt = ok("disk", "enough"), warning("focus", "soft", "reason", "remedy")
+    bad = error("arm", "missing", "reason", "remedy")
+    assert [exit_code(results) for results in ([good], [good, doubt], [good, doubt, bad])] == [
+        ExitCode.OK,
+        ExitCode.WARNING,
+        ExitCode.ERROR,
     ]
-    assert summary([good]).startswith("all is well")
-    assert summary([good, doubt]) == "ready, with doubts (WARNING: focus)"
-    assert summary([good, doubt, bad]) == "not ready (MISSING: arm; WARNING: focus)"
+    assert summary([good]) == "ready (1 of 1 checks OK)"
+    assert summary([good, doubt]) == "ready (warnings: focus)"
+    assert summary([good, doubt, bad]) == "not ready (errors: arm; warnings: focus)"
 
 
-def test_what_is_not_well_comes_with_its_reason_and_the_way_out():
-    assert fine("disk", "much").describe() == "OK      disk                    much"
-    lines = missing("arm", "gone", "nothing moves", "start it").describe().splitlines()
-    assert [line.split(None, 1)[0] for line in lines] == ["MISSING", "why:", "mend:"]
+def test_error_has_reason_and_remedy():
+    assert ok("disk", "enough").describe() == "OK      disk                    enough"
+    lines = error("arm", "missing", "nothing moves", "start it").describe().splitlines()
+    assert [line.split(None, 1)[0] for line in lines] == ["ERROR", "reason:", "remedy:"]
     assert lines[1].endswith("nothing moves")
     assert lines[2].endswith("start it")
 
 
 @pytest.mark.parametrize(
-    ("stream", "limits", "level", "words"),
+    ("statistics", "limits", "level", "message"),
     [
-        (Stream("/x", 3.0, STEADY, [0.02] * 29), LIMITS, "OK", "/x at 10.0 Hz, 0.020 s old"),
-        (Stream("/x", 3.0, published=False), LIMITS, "MISSING", "nobody publishes /x"),
-        (Stream("/x", 3.0), LIMITS, "MISSING", "nothing came on /x in 3.0 s"),
-        (Stream("/x", 3.0, STEADY, [-0.3] * 29), LIMITS, "MISSING", "0.30 s in the future"),
-        (Stream("/x", 3.0, STEADY, [0.7] * 29), LIMITS, "MISSING", "0.700 s old; 0.5 s are allowed"),
-        (Stream("/x", 3.0, STEADY[:20], [0.0] * 20), LIMITS, "MISSING", "gap of 1.00 s"),
-        (Stream("/x", 3.0, (0.1, 2.0, 2.9), [0.0] * 3), LIMITS, "MISSING", "gap of 1.90 s"),
-        (Stream("/x", 0.2, (0.1,), [1e9]), None, "OK", "/x is there"),
-        (Stream("/x", 0.2), None, "MISSING", "nothing came"),
+        (TopicStatistics("/x", 3.0, STEADY, [0.02] * 29), LIMITS, "OK", "/x at 10.0 Hz, 0.020 s old"),
+        (TopicStatistics("/x", 3.0, published=False), LIMITS, "ERROR", "/x has no publisher"),
+        (TopicStatistics("/x", 3.0), LIMITS, "ERROR", "no message on /x in 3.0 s"),
+        (TopicStatistics("/x", 3.0, STEADY, [-0.3] * 29), LIMITS, "ERROR", "0.30 s in the future"),
+        (TopicStatistics("/x", 3.0, STEADY, [0.7] * 29), LIMITS, "ERROR", "0.700 s old (limit 0.5 s)"),
+        (TopicStatistics("/x", 3.0, STEADY[:20], [0.0] * 20), LIMITS, "ERROR", "gap 1.00 s"),
+        (TopicStatistics("/x", 3.0, (0.1, 2.0, 2.9), [0.0] * 3), LIMITS, "ERROR", "gap 1.90 s"),
+        (TopicStatistics("/x", 0.2, (0.1,), [1e9]), None, "OK", "/x is published"),
+        (TopicStatistics("/x", 0.2), None, "ERROR", "no message"),
     ],
 )
-def test_a_topic_is_judged_by_who_publishes_how_often_and_how_late(stream, limits, level, words):
-    finding = check_stream("topic", stream, "why", "start it", limits)
-    assert finding.level.value == level
-    assert words in finding.found
+def test_topic_publisher_rate_and_age(statistics, limits, level, message):
+    result = check_topic("topic", statistics, "reason", "start it", limits)
+    assert result.level.value == level
+    assert message in result.message
 
 
 def scene(seed=0):
-    """Grey patches with edges."""
+    """Return an image (180, 180, 3) of grey patches with edges."""
     patches = np.random.default_rng(seed).integers(60, 200, (12, 12, 3), dtype=np.uint8)
     return np.repeat(np.repeat(patches, 15, axis=0), 15, axis=1)
 
 
-def only(findings, about):
-    return next(finding for finding in findings if finding.about == about)
+def only(results, name):
+    return next(result for result in results if result.name == name)
 
 
-def test_pictures_of_something_in_good_light_are_well():
-    assert levels(image.check_picture([scene(0), scene(1), scene(2)], CONFIG.camera, live=True)) == ["OK", "OK"]
+def test_good_images_pass():
+    assert levels(images.check_content([scene(0), scene(1), scene(2)], CONFIG.camera, real=True)) == ["OK", "OK"]
 
 
-def test_a_covered_lens_is_told_but_where_plain_pictures_are_expected():
+def test_covered_lens_is_an_error_unless_featureless_images_are_allowed():
     covered = np.full((180, 180, 3), 20, np.uint8)
-    assert "one single colour, [20, 20, 20]" in image.check_picture([covered], CONFIG.camera, True)[0].found
+    assert "the colour [20, 20, 20]" in images.check_content([covered], CONFIG.camera, True)[0].message
     plain = replace(CONFIG.camera, allow_featureless=True)
-    assert "one single colour" not in image.check_picture([covered], plain, True)[0].found
+    assert "the colour" not in images.check_content([covered], plain, True)[0].message
 
 
-def test_a_frozen_camera_is_told_but_a_simulated_one_may_stand_still():
-    finding = only(image.check_picture([scene()] * 3, CONFIG.camera, live=True), "picture")
-    assert finding.level is Level.WARNING
-    assert "same to the last bit" in finding.found
-    assert levels(image.check_picture([scene()] * 3, CONFIG.camera, live=False)) == ["OK", "OK"]
+def test_frozen_camera_is_a_warning_except_in_simulation():
+    result = only(images.check_content([scene()] * 3, CONFIG.camera, real=True), "image content")
+    assert result.level is Level.WARNING
+    assert "the last 3 images are identical" in result.message
+    assert levels(images.check_content([scene()] * 3, CONFIG.camera, real=False)) == ["OK", "OK"]
 
 
 @pytest.mark.parametrize(
-    ("image", "about", "mend"),
+    ("image", "name", "remedy"),
     [
-        (np.where(scene() > 150, 255, scene()), "exposure", "lower the camera's exposure"),
-        (np.where(scene() < 120, 2, 3).astype(np.uint8), "exposure", "raise the camera's exposure"),
-        (cv2.GaussianBlur(scene(), (0, 0), 12), "sharpness", "set the focus"),
+        (np.where(scene() > 150, 255, scene()), "exposure", "lower the exposure"),
+        (np.where(scene() < 120, 2, 3).astype(np.uint8), "exposure", "raise the exposure"),
+        (cv2.GaussianBlur(scene(), (0, 0), 12), "sharpness", "focus"),
     ],
     ids=["too bright", "too dark", "out of focus"],
 )
-def test_a_picture_that_little_can_be_learned_from_is_a_warning(image, about, mend):
-    finding = only(image.check_picture([image], CONFIG.camera, live=True), about)
-    assert finding.level is Level.WARNING
-    assert mend in finding.mend
+def test_poor_image_is_a_warning(image, name, remedy):
+    result = only(images.check_content([image], CONFIG.camera, real=True), name)
+    assert result.level is Level.WARNING
+    assert remedy in result.remedy
 
 
 @pytest.mark.parametrize(
     ("degrees", "size", "level"),
-    [(30.0, (180, 180), "OK"), (30.5, (180, 180), "OK"), (33.0, (180, 180), "WARNING"), (30.0, (360, 640), "MISSING")],
+    [(30.0, (180, 180), "OK"), (30.5, (180, 180), "OK"), (33.0, (180, 180), "WARNING"), (30.0, (360, 640), "ERROR")],
 )
-def test_the_camera_matrix_is_compared_with_the_settings(degrees, size, level):
+def test_camera_matrix_is_compared_with_settings(degrees, size, level):
     matrix = intrinsics(size[1], size[0], degrees).ravel()
-    assert image.check_camera_matrix(matrix, *size, CONFIG.camera).level.value == level
+    assert images.check_camera_matrix(matrix, *size, CONFIG.camera).level.value == level
 
 
-def test_a_camera_without_a_matrix_is_told():
-    assert image.check_camera_matrix([0.0] * 9, 180, 180, CONFIG.camera).level is Level.MISSING
+def test_missing_camera_matrix_is_an_error():
+    assert images.check_camera_matrix([0.0] * 9, 180, 180, CONFIG.camera).level is Level.ERROR
 
 
 @pytest.mark.parametrize(
@@ -141,152 +141,154 @@ def test_a_camera_without_a_matrix_is_told():
         (1, [], 0.0, {"robot mode": "OK"}),
         (2, [], 0.99, {"robot mode": "OK", "robot network": "OK"}),
         (2, [], 0.8, {"robot mode": "OK", "robot network": "WARNING"}),
-        (4, ["cartesian_reflex"], 0.0, {"robot mode": "MISSING"}),
-        (5, [], 0.0, {"robot mode": "MISSING"}),
-        (1, ["joint_reflex"], 0.0, {"robot mode": "MISSING"}),
-        (77, [], 0.0, {"robot mode": "MISSING"}),
+        (4, ["cartesian_reflex"], 0.0, {"robot mode": "ERROR"}),
+        (5, [], 0.0, {"robot mode": "ERROR"}),
+        (1, ["joint_reflex"], 0.0, {"robot mode": "ERROR"}),
+        (77, [], 0.0, {"robot mode": "ERROR"}),
     ],
 )
-def test_the_robots_mode_and_errors_are_told_by_name(mode, errors, rate, expected):
-    findings = robot.check_robot_state(mode, errors, rate)
-    assert {finding.about: finding.level.value for finding in findings} == expected
-    assert all(error in findings[0].found for error in errors)
+def test_robot_mode_errors_and_success_rate(mode, errors, rate, expected):
+    results = robot.check_robot_state(mode, errors, rate)
+    assert {result.name: result.level.value for result in results} == expected
+    assert all(name in results[0].message for name in errors)
 
 
-def test_a_pressed_user_stop_is_mended_by_a_person():
-    assert "release the user stop" in robot.check_robot_state(5, [], 0.0)[0].mend
+def test_user_stop_remedy_is_to_release_it():
+    assert "release the user stop" in robot.check_robot_state(5, [], 0.0)[0].remedy
 
 
-RUNS, LOOKS, STOPPED = Controller("running", True), Controller("running", False), Controller("stopped", True)
-THEIRS = "effort_joint_trajectory_controller"
+RUNNING, READING, STOPPED = Controller("running", True), Controller("running", False), Controller("stopped", True)
+OTHER = "effort_joint_trajectory_controller"
 
 
 @pytest.mark.parametrize(
-    ("controllers", "words"),
+    ("controllers", "message"),
     [
-        ({STATE_CONTROLLER: LOOKS, CONTROLLER: RUNS}, "nobody else moves the arm"),
-        ({CONTROLLER: RUNS}, f"{STATE_CONTROLLER} is not loaded"),
-        ({STATE_CONTROLLER: LOOKS}, f"{CONTROLLER} is not loaded"),
-        ({STATE_CONTROLLER: LOOKS, CONTROLLER: STOPPED}, f"{CONTROLLER} is stopped"),
-        ({STATE_CONTROLLER: LOOKS, CONTROLLER: STOPPED, THEIRS: RUNS}, f"{THEIRS} drives the arm"),
-        ({STATE_CONTROLLER: LOOKS, CONTROLLER: RUNS, THEIRS: STOPPED}, "nobody else moves the arm"),
+        ({STATE_CONTROLLER: READING, CONTROLLER: RUNNING}, "nothing else moves the arm"),
+        ({CONTROLLER: RUNNING}, f"{STATE_CONTROLLER} is not loaded"),
+        ({STATE_CONTROLLER: READING}, f"{CONTROLLER} is not loaded"),
+        ({STATE_CONTROLLER: READING, CONTROLLER: STOPPED}, f"{CONTROLLER} is stopped"),
+        ({STATE_CONTROLLER: READING, CONTROLLER: STOPPED, OTHER: RUNNING}, f"{OTHER} controls the arm"),
+        ({STATE_CONTROLLER: READING, CONTROLLER: RUNNING, OTHER: STOPPED}, "nothing else moves the arm"),
     ],
 )
-def test_controllers_are_ours_and_nobody_elses(controllers, words):
-    findings = robot.check_controllers(controllers, ["/franka_arm"])
-    assert len(findings) == 1
-    assert words in findings[0].found
-    assert (findings[0].level is Level.OK) == ("nobody else" in words)
+def test_controllers_run_and_no_other_moves_the_arm(controllers, message):
+    results = robot.check_controllers(controllers, ["/franka_arm"])
+    assert len(results) == 1
+    assert message in results[0].message
+    assert (results[0].level is Level.OK) == ("nothing else" in message)
 
 
-def test_another_node_that_publishes_set_points_is_named():
-    controllers = {STATE_CONTROLLER: LOOKS, CONTROLLER: RUNS}
-    finding = robot.check_controllers(controllers, ["/franka_arm", "/interactive_marker"])[0]
-    assert finding.level is Level.MISSING
-    assert "/interactive_marker" in finding.found
+def test_second_publisher_of_set_points_is_named():
+    controllers = {STATE_CONTROLLER: READING, CONTROLLER: RUNNING}
+    result = robot.check_controllers(controllers, ["/franka_arm", "/interactive_marker"])[0]
+    assert result.level is Level.ERROR
+    assert "/interactive_marker" in result.message
 
 
 @pytest.mark.parametrize(
-    ("place", "tilt", "level"),
+    ("position", "tilt", "level"),
     [
         ((0.475, 0.0, 0.3), 0.0, "OK"),
         ((0.475, 0.0, 0.31), 0.1, "OK"),
-        ((0.475, 0.0, 0.34), 0.0, "MISSING"),
-        ((0.475, 0.0, 0.3), 0.3, "MISSING"),
+        ((0.475, 0.0, 0.34), 0.0, "ERROR"),
+        ((0.475, 0.0, 0.3), 0.3, "ERROR"),
         ((0.475, 0.2, 0.3), 0.0, "WARNING"),
-        ((0.475, 0.4, 0.3), 0.0, "MISSING"),
+        ((0.475, 0.4, 0.3), 0.0, "ERROR"),
     ],
 )
-def test_motion_begins_only_close_to_the_cameras_height_and_upright(place, tilt, level):
+def test_camera_pose_limits_of_height_tilt_and_workspace(position, tilt, level):
     axis = (math.sin(tilt), 0.0, -math.cos(tilt))
-    assert robot.check_place(place, axis, 0.0, FRANKA).level.value == level
+    assert robot.check_camera_pose(position, axis, 0.0, FRANKA).level.value == level
 
 
-def test_the_height_is_counted_from_the_table():
-    assert robot.check_place((0.475, 0.0, 0.45), (0, 0, -1), 0.0, with_franka(table_height=0.15)).level is Level.OK
+def test_camera_height_is_measured_from_the_table():
+    arm = with_franka(table_height=0.15)
+    assert robot.check_camera_pose((0.475, 0.0, 0.45), (0, 0, -1), 0.0, arm).level is Level.OK
 
 
-def test_frames_that_disagree_are_told_in_millimetres_and_yaw_goes_round():
+def test_frames_differ_in_millimetres_and_yaw_wraps():
     assert robot.check_frames((0.4, 0.1, math.pi - 0.001), (0.401, 0.1, -math.pi + 0.001)).level is Level.OK
-    finding = robot.check_frames((0.4, 0.1, 0.0), (0.405, 0.1, 0.0))
-    assert finding.level is Level.MISSING
-    assert "5.0 mm" in finding.found
+    result = robot.check_frames((0.4, 0.1, 0.0), (0.405, 0.1, 0.0))
+    assert result.level is Level.ERROR
+    assert "5.0 mm" in result.message
 
 
-def test_the_arm_reaches_the_papers_workspace():
-    finding = reach.check_reach(reach.find_reach(CONFIG))
-    assert finding.level is Level.OK
-    assert "joint 4 comes closest" in finding.found
+def test_arm_reaches_default_workspace():
+    result = reach.check_reach(reach.find_reach(CONFIG))
+    assert result.level is Level.OK
+    assert "joint 4 is closest" in result.message
 
 
-def test_a_corner_out_of_reach_is_named():
+def test_unreachable_corner_is_named():
     far = replace(CONFIG, workspace=replace(CONFIG.workspace, x=(0.325, 0.95)))
     found = reach.find_reach(far)
-    assert found.beyond
-    assert min(pose[0] for pose in found.beyond) > 0.7
-    finding = reach.check_reach(found)
-    assert finding.level is Level.MISSING
-    assert f"x {found.beyond[0][0]:.3f} m" in finding.found
+    assert found.unreachable
+    assert min(pose[0] for pose in found.unreachable) > 0.7
+    result = reach.check_reach(found)
+    assert result.level is Level.ERROR
+    assert f"x {found.unreachable[0][0]:.3f} m" in result.message
 
 
-def test_a_camera_that_is_turned_in_its_mount_costs_the_last_joint_its_room():
-    straight = reach.find_reach(with_franka(camera_position=(0.0, 0.0, 0.05)))
-    turned = reach.find_reach(with_franka(camera_position=(0.0, 0.0, 0.05), camera_rotation=(0.0, 0.0, 0.8)))
-    assert not straight.beyond
-    assert {pose[2] for pose in turned.beyond} == {CONFIG.workspace.theta[1]}
-    hand = np.eye(4)
-    hand[:2, :2] = [[math.cos(0.8), math.sin(0.8)], [-math.sin(0.8), math.cos(0.8)]]
-    assert not reach.find_reach(with_franka(camera_position=(0.0, 0.0, 0.05), camera_rotation=(0, 0, 0.8)), hand).beyond
+def test_reach_depends_on_camera_mount_and_end_effector():
+    """A camera turned in its mount costs the last joint its range; F_T_EE turned the other way gives it back."""
+    straight = with_franka(camera_position=(0.0, 0.0, 0.05))
+    turned = with_franka(camera_position=(0.0, 0.0, 0.05), camera_rotation=(0.0, 0.0, 0.8))
+    assert not reach.find_reach(straight).unreachable
+    assert {pose[2] for pose in reach.find_reach(turned).unreachable} == {CONFIG.workspace.theta[1]}
+    end_effector = np.eye(4)
+    end_effector[:2, :2] = [[math.cos(0.8), math.sin(0.8)], [-math.sin(0.8), math.cos(0.8)]]
+    assert not reach.find_reach(turned, end_effector).unreachable
 
 
-def test_a_joint_close_to_its_limit_is_a_warning():
+def test_joint_close_to_its_limit_is_a_warning():
     assert reach.check_reach(reach.Reach((), 0.01, 7, (0.4, 0.0, 2.0))).level is Level.WARNING
 
 
-def test_packages_that_are_absent_are_named_with_what_brings_them():
-    needed = {"torch": "make install", "franka_msgs": "apt-get install ros-noetic-franka-ros"}
-    assert computer.check_packages(needed, []).level is Level.OK
-    finding = computer.check_packages(needed, ["franka_msgs"])
-    assert finding.level is Level.MISSING
-    assert "franka_msgs" in finding.found
-    assert "ros-noetic-franka-ros" in finding.mend
+def test_missing_packages_are_named_with_install_command():
+    required = {"torch": "make install", "franka_msgs": "apt-get install ros-noetic-franka-ros"}
+    assert computer.check_packages(required, []).level is Level.OK
+    result = computer.check_packages(required, ["franka_msgs"])
+    assert result.level is Level.ERROR
+    assert "franka_msgs" in result.message
+    assert "ros-noetic-franka-ros" in result.remedy
 
 
-def test_a_disk_without_room_is_told(tmp_path):
+def test_full_disk_is_an_error(tmp_path):
     assert computer.check_disk(tmp_path / "sessions", CONFIG).level is Level.OK
     large = replace(
         CONFIG, exploration=replace(CONFIG.exploration, steps=1000000), camera=replace(CONFIG.camera, width=4096)
     )
-    assert computer.check_disk(tmp_path, large).level is Level.MISSING
+    assert computer.check_disk(tmp_path, large).level is Level.ERROR
 
 
 @pytest.mark.parametrize(
-    ("wanted", "cuda", "level"),
+    ("device", "cuda", "level"),
     [
         ("auto", False, "OK"),
         ("auto", True, "OK"),
         ("cpu", True, "OK"),
         ("cuda", True, "OK"),
-        ("cuda", False, "MISSING"),
+        ("cuda", False, "ERROR"),
     ],
 )
-def test_a_device_that_is_asked_for_has_to_be_there(wanted, cuda, level):
-    assert computer.check_device(wanted, cuda, 2).level.value == level
+def test_missing_gpu_is_an_error_if_requested(device, cuda, level):
+    assert computer.check_device(device, cuda, 2).level.value == level
 
 
 @pytest.mark.parametrize(
-    ("simulated", "published", "which", "level"),
+    ("simulated", "published", "robot_name", "level"),
     [
         (True, True, "pybullet", "OK"),
-        (True, False, "pybullet", "MISSING"),
-        (False, False, "pybullet", "MISSING"),
+        (True, False, "pybullet", "ERROR"),
+        (False, False, "pybullet", "ERROR"),
         (False, False, "franka", "OK"),
-        (True, False, "franka", "MISSING"),
+        (True, False, "franka", "ERROR"),
         (False, True, "franka", "WARNING"),
     ],
 )
-def test_each_robot_has_its_own_kind_of_time(simulated, published, which, level):
-    assert computer.check_clock(simulated, published, which).level.value == level
+def test_clock_is_simulated_iff_the_robot_is(simulated, published, robot_name, level):
+    assert computer.check_clock(simulated, published, robot_name).level.value == level
 
 
 HERE = Peer("/trainer", "10.77.0.2", "", local=True)
@@ -294,36 +296,39 @@ THERE = Peer("/franka_arm", "10.77.0.1", "", local=False)
 
 
 @pytest.mark.parametrize(
-    ("own", "loopback", "environment", "master_is_local", "peers", "expected"),
+    ("own", "loopback", "environment", "master_is_local", "peers", "level"),
     [
-        ("vm", False, {}, True, [HERE], ["OK", "OK"]),
-        ("localhost", True, {"ROS_HOSTNAME": "localhost"}, True, [HERE], ["OK", "OK"]),
-        ("10.77.0.2", False, {"ROS_IP": "10.77.0.2"}, False, [HERE, THERE], ["OK", "OK"]),
-        ("localhost", True, {"ROS_HOSTNAME": "localhost"}, True, [HERE, THERE], ["MISSING", "OK"]),
-        ("127.0.0.1", True, {"ROS_IP": "127.0.0.1"}, False, [], ["MISSING", "OK"]),
-        ("vm", False, {}, False, [THERE], ["WARNING", "OK"]),
-        ("vm", False, {"ROS_IP": "10.77.0.2", "ROS_HOSTNAME": "vm"}, True, [HERE], ["WARNING", "OK"]),
-        ("vm", False, {}, True, [HERE._replace(trouble="Connection refused")], ["OK", "MISSING"]),
+        ("vm", False, {}, True, [HERE], "OK"),
+        ("localhost", True, {"ROS_HOSTNAME": "localhost"}, True, [HERE], "OK"),
+        ("10.77.0.2", False, {"ROS_IP": "10.77.0.2"}, False, [HERE, THERE], "OK"),
+        ("localhost", True, {"ROS_HOSTNAME": "localhost"}, True, [HERE, THERE], "ERROR"),
+        ("127.0.0.1", True, {"ROS_IP": "127.0.0.1"}, False, [], "ERROR"),
+        ("vm", False, {}, False, [THERE], "WARNING"),
+        ("vm", False, {"ROS_IP": "10.77.0.2", "ROS_HOSTNAME": "vm"}, True, [HERE], "WARNING"),
     ],
 )
-def test_addresses_that_others_cannot_use_are_told(own, loopback, environment, master_is_local, peers, expected):
-    assert levels(computer.check_addresses(own, loopback, environment, master_is_local, peers)) == expected
+def test_own_address_is_reachable_for_other_computers(own, loopback, environment, master_is_local, peers, level):
+    assert network.check_own_address(own, loopback, environment, master_is_local, peers).level.value == level
+    assert network.check_peers(peers).level is Level.OK
 
 
-def test_a_node_that_cannot_be_reached_is_named():
-    peers = [HERE, THERE._replace(trouble="Name or service not known")]
-    finding = computer.check_addresses("10.77.0.2", False, {"ROS_IP": "10.77.0.2"}, False, peers)[-1]
-    assert finding.found == "cannot be reached from here: /franka_arm at 10.77.0.1 (Name or service not known)"
+def test_unreachable_node_is_named():
+    assert network.check_peers([HERE._replace(connection_error="Connection refused")]).level is Level.ERROR
+    result = network.check_peers([HERE, THERE._replace(connection_error="Name or service not known")])
+    assert result.level is Level.ERROR
+    assert result.message == "no connection to /franka_arm at 10.77.0.1 (Name or service not known)"
 
 
-def test_what_an_earlier_launch_has_left_is_told_with_the_way_out():
-    assert levels(computer.check_left_over({"/failure": "", "/franka_arm/stopped_by": ""})) == ["OK"]
-    findings = computer.check_left_over({"/failure": "/trainer: disk full", "/franka_arm/stopped_by": "an operator"})
-    assert levels(findings) == ["WARNING", "WARNING"]
-    assert "/arm/recover" in findings[1].mend
+def test_stale_parameters_have_remedies():
+    assert levels(computer.check_stale_parameters({"/failure": "", "/franka_arm/stopped_by": ""})) == ["OK"]
+    values = {"/failure": "/trainer: disk full", "/franka_arm/stopped_by": "an operator"}
+    results = computer.check_stale_parameters(values)
+    assert levels(results) == ["WARNING", "WARNING"]
+    assert "/arm/recover" in results[1].remedy
 
 
-def test_services_that_nobody_offers_are_named():
-    assert computer.check_services(["/arm/move", "/x"], ["/arm/move"], "start it", "services", "why").level is Level.OK
-    finding = computer.check_services(["/x"], ["/arm/move"], "start it", "services", "why")
-    assert finding.found == "nobody offers /arm/move"
+def test_missing_services_are_named():
+    arguments = (["/arm/move"], "services", "reason", "start it")
+    assert computer.check_advertised(["/arm/move", "/x"], *arguments).level is Level.OK
+    result = computer.check_advertised(["/x"], *arguments)
+    assert result.message == "not advertised: /arm/move"

@@ -1,4 +1,4 @@
-"""What a check has found, and how it is told to a person."""
+"""Results of the preflight checks."""
 
 from __future__ import annotations
 
@@ -8,78 +8,81 @@ from typing import List, Sequence
 
 
 class Level(enum.Enum):
-    """How good a finding is."""
+    """Severity of a check result."""
 
     OK = "OK"
-    WARNING = "WARNING"  # a run can begin, and may go worse than it could
-    MISSING = "MISSING"  # no run can begin, or what it learns is worth nothing
+    WARNING = "WARNING"  # a run can start; its result may be worse
+    ERROR = "ERROR"  # a run cannot start, or its result would be useless
 
 
 class ExitCode(enum.IntEnum):
-    """How the pre-flight check ends."""
+    """Exit codes of the preflight script."""
 
-    ALL_WELL = 0
-    MISSING = 1
-    WARNINGS = 2  # and nothing is missing
+    OK = 0
+    ERROR = 1
+    WARNING = 2
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One line of the list; what is not OK also has why it matters and how to mend it."""
+    """Result of one check.
+
+    Attributes:
+        name: what was checked.
+        message: what was found.
+        reason: why a warning or error matters.
+        remedy: what to do about it.
+    """
 
     level: Level
-    about: str
-    found: str
-    why: str = ""
-    mend: str = ""
+    name: str
+    message: str
+    reason: str = ""
+    remedy: str = ""
 
     def describe(self) -> str:
-        """The line, and two more when something is to be done."""
-        lines = [f"{self.level.value:8}{self.about:24}{self.found}"]
+        """Return one line, with two more for a warning or error."""
+        lines = [f"{self.level.value:8}{self.name:24}{self.message}"]
         if self.level is not Level.OK:
-            lines += [f"{'':8}  why:  {self.why}", f"{'':8}  mend: {self.mend}"]
+            lines += [f"{'':10}reason: {self.reason}", f"{'':10}remedy: {self.remedy}"]
         return "\n".join(lines)
 
-    def with_more(self, found: str) -> CheckResult:
-        """The same finding with more of what was found."""
-        return replace(self, found=f"{self.found}, {found}")
+    def with_detail(self, detail: str) -> CheckResult:
+        """Return a copy with a detail appended to the message."""
+        return replace(self, message=f"{self.message}, {detail}")
 
 
-def fine(about: str, found: str) -> CheckResult:
-    """A check that found what it wanted."""
-    return CheckResult(Level.OK, about, found)
+def ok(name: str, message: str) -> CheckResult:
+    """Return the result of a passed check."""
+    return CheckResult(Level.OK, name, message)
 
 
-def warning(about: str, found: str, why: str, mend: str) -> CheckResult:
-    """A check that found something a run can live with."""
-    return CheckResult(Level.WARNING, about, found, why, mend)
+def warning(name: str, message: str, reason: str, remedy: str) -> CheckResult:
+    """Return a result that does not prevent a run."""
+    return CheckResult(Level.WARNING, name, message, reason, remedy)
 
 
-def missing(about: str, found: str, why: str, mend: str) -> CheckResult:
-    """A check that found something a run cannot live with."""
-    return CheckResult(Level.MISSING, about, found, why, mend)
+def error(name: str, message: str, reason: str, remedy: str) -> CheckResult:
+    """Return a result that prevents a run or makes it useless."""
+    return CheckResult(Level.ERROR, name, message, reason, remedy)
 
 
-def names_at(findings: Sequence[CheckResult], level: Level) -> List[str]:
-    """What the findings of a level are about, in their order and each once."""
-    return list(dict.fromkeys(finding.about for finding in findings if finding.level is level))
+def names_at(results: Sequence[CheckResult], level: Level) -> List[str]:
+    """Return the names of the results of a level, without duplicates."""
+    return list(dict.fromkeys(result.name for result in results if result.level is level))
 
 
-def summary(findings: Sequence[CheckResult]) -> str:
-    """One line about all of them."""
-    lacking, doubtful = names_at(findings, Level.MISSING), names_at(findings, Level.WARNING)
-    if not lacking and not doubtful:
-        return f"all is well: {len(findings)} of {len(findings)} findings are OK"
-    parts = []
-    if lacking:
-        parts.append(f"MISSING: {', '.join(lacking)}")
-    if doubtful:
-        parts.append(f"WARNING: {', '.join(doubtful)}")
-    return f"not ready ({'; '.join(parts)})" if lacking else f"ready, with doubts ({'; '.join(parts)})"
+def summary(results: Sequence[CheckResult]) -> str:
+    """Return one line on all results."""
+    errors, warnings = names_at(results, Level.ERROR), names_at(results, Level.WARNING)
+    parts = [f"{label}: {', '.join(names)}" for label, names in (("errors", errors), ("warnings", warnings)) if names]
+    if errors:
+        return f"not ready ({'; '.join(parts)})"
+    return f"ready ({'; '.join(parts)})" if warnings else f"ready ({len(results)} of {len(results)} checks OK)"
 
 
-def exit_code(findings: Sequence[CheckResult]) -> ExitCode:
-    """0 only when all is well."""
-    if names_at(findings, Level.MISSING):
-        return ExitCode.MISSING
-    return ExitCode.WARNINGS if names_at(findings, Level.WARNING) else ExitCode.ALL_WELL
+def exit_code(results: Sequence[CheckResult]) -> ExitCode:
+    """Return the code of the most severe result."""
+    if names_at(results, Level.ERROR):
+        return ExitCode.ERROR
+    return ExitCode.WARNING if names_at(results, Level.WARNING) else ExitCode.OK

@@ -1,4 +1,4 @@
-"""Checks of a Panda under franka_ros, and of where an arm is."""
+"""Checks of a Panda under franka_ros, and of the camera's pose."""
 
 from __future__ import annotations
 
@@ -9,137 +9,142 @@ import numpy as np
 
 from embodied_active_learning.config import REAL, Config
 from embodied_active_learning.franka.readiness import CONTROLLER, Controller, RobotMode
-from embodied_active_learning.ros.preflight.check_result import CheckResult, fine, missing, warning
+from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.workspace import STATE_NAMES
 
 STATE_CONTROLLER = "franka_state_controller"
-_READY = ("idle", "move")
-LEAST_SUCCESS = 0.95
-"""Part of the control commands that should reach the robot in time."""
-FRAME_TOLERANCE, TURN_TOLERANCE = 0.002, 0.01
-"""Metres and rad by which tf and the arm's state may differ while the arm stands still."""
-_OUTSIDE = 1e-3  # m, rad: an arm at rest at a border is not outside
-_MODE_MENDS = {
+MIN_SUCCESS_RATE = 0.95
+"""Smallest acceptable control_command_success_rate."""
+POSITION_TOLERANCE, ANGLE_TOLERANCE = 0.002, 0.01
+"""Largest difference [m], [rad] between tf and arm/state while the arm rests."""
+_READY_MODES = ("idle", "move")
+_BORDER_TOLERANCE = 1e-3  # m, rad: an arm that rests at the border counts as inside
+_MODE_REMEDIES = {
     "user stopped": "release the user stop, then rosservice call /arm/recover",
-    "reflex": "see what the arm has touched, then rosservice call /arm/recover",
-    "guiding": "let go of the hand's buttons",
+    "reflex": "remove what the arm has touched, then rosservice call /arm/recover",
+    "guiding": "release the guiding buttons of the hand",
 }
 
 
 def check_robot_state(mode: int, errors: Sequence[str], success_rate: float) -> List[CheckResult]:
-    """Mode, names of current errors and control_command_success_rate of franka_states."""
-    known = {item.value: item.name.lower().replace("_", " ") for item in RobotMode}
-    name = known.get(mode, f"unknown ({mode})")
-    if errors or name not in _READY:
-        mend = _MODE_MENDS.get(name, "rosservice call /arm/recover; look at Desk")
-        found = f"{name}, errors: {', '.join(errors) or 'none'}"
-        findings = [missing("robot mode", found, "the robot takes no motion in this mode", mend)]
+    """Check robot_mode, current_errors (names) and control_command_success_rate of franka_states."""
+    modes = {item.value: item.name.lower().replace("_", " ") for item in RobotMode}
+    mode_name = modes.get(mode, f"unknown ({mode})")
+    if errors or mode_name not in _READY_MODES:
+        remedy = _MODE_REMEDIES.get(mode_name, "rosservice call /arm/recover; see Desk")
+        message = f"{mode_name}, errors: {', '.join(errors) or 'none'}"
+        results = [error("robot mode", message, "the robot accepts no motion in this state", remedy)]
     else:
-        findings = [fine("robot mode", f"{name}, no errors")]
-    # While no controller moves the arm there are no commands, and the rate is 0.
-    found = f"{success_rate:.0%} of the commands arrive in time"
-    if name == "move" and success_rate < LEAST_SUCCESS:
-        findings.append(
-            warning(
-                "robot network",
-                found,
-                "lost commands end in communication_constraints_violation, in the middle of a run",
-                "a realtime kernel, a network card for the robot alone, no power saving, less load on this computer",
-            )
-        )
-    elif name == "move":
-        findings.append(fine("robot network", found))
-    return findings
+        results = [ok("robot mode", f"{mode_name}, no errors")]
+    if mode_name != "move":  # without a running controller there are no commands, and the rate is 0
+        return results
+    message = f"{success_rate:.0%} of the commands arrive in time"
+    if success_rate < MIN_SUCCESS_RATE:
+        reason = "lost commands end in communication_constraints_violation during a run"
+        remedy = "use a realtime kernel, a network card for the robot alone, no power saving, less load"
+        return [*results, warning("robot network", message, reason, remedy)]
+    return [*results, ok("robot network", message)]
 
 
-def check_controllers(controllers: Mapping[str, Controller], set_points_from: Sequence[str]) -> List[CheckResult]:
-    """What controller_manager has, by name, and the nodes that publish set-points to our controller.
+def check_controllers(controllers: Mapping[str, Controller], publishers: Sequence[str]) -> List[CheckResult]:
+    """Check that the state controller and ours run, and that nothing else moves the arm.
 
-    The state controller and ours have to run, and nobody else may move the arm.
+    Args:
+        controllers: loaded controllers of controller_manager by name.
+        publishers: nodes that publish set-points to our controller.
     """
-    about, why = "controllers", "franka_arm reads the robot's state by the one, and moves the arm by the other"
-    findings = []
+    name = "controllers"
+    reason = f"franka_arm reads the robot's state from {STATE_CONTROLLER} and moves the arm with {CONTROLLER}"
+    results = []
     state = controllers[STATE_CONTROLLER].state if STATE_CONTROLLER in controllers else "not loaded"
     if state != "running":
-        mend = "franka_control.launch starts it; look at its log"
-        findings.append(missing(about, f"{STATE_CONTROLLER} is {state}", why, mend))
-    others = [
-        name for name, item in controllers.items() if item.moves and item.state == "running" and name != CONTROLLER
-    ]
+        remedy = "see the log of franka_control.launch, which starts it"
+        results.append(error(name, f"{STATE_CONTROLLER} is {state}", reason, remedy))
+    others = [key for key, item in controllers.items() if item.moves and item.state == "running" and key != CONTROLLER]
     if others:
-        findings.append(
-            missing(
-                about,
-                f"{', '.join(others)} drives the arm",
-                "two controllers cannot move the same joints, and franka_arm stops nobody else's",
+        results.append(
+            error(
+                name,
+                f"{', '.join(others)} controls the arm",
+                "two controllers cannot command the same joints, and franka_arm does not stop those of others",
                 f"rosrun controller_manager controller_manager stop {' '.join(others)}",
             )
         )
     state = controllers[CONTROLLER].state if CONTROLLER in controllers else "not loaded"
     if state != "running" and not others:
-        mend = "look at franka_arm's log, which loads and starts it; rosservice call /arm/recover"
-        findings.append(missing(about, f"{CONTROLLER} is {state}", why, mend))
-    if len(set_points_from) > 1:
-        findings.append(
-            missing(
-                about,
-                f"{', '.join(set_points_from)} all publish set-points",
-                "the arm is drawn to and fro between them",
-                "end all but franka_arm; the interactive marker of franka_example_controllers is one of them",
+        remedy = "see the log of franka_arm, which loads and starts it; rosservice call /arm/recover"
+        results.append(error(name, f"{CONTROLLER} is {state}", reason, remedy))
+    if len(publishers) > 1:
+        results.append(
+            error(
+                name,
+                f"{', '.join(publishers)} publish set-points at the same time",
+                "the arm would jump between them",
+                "stop all but franka_arm, for example the interactive marker of franka_example_controllers",
             )
         )
-    return findings or [fine(about, f"{STATE_CONTROLLER} and {CONTROLLER} run, and nobody else moves the arm")]
+    return results or [ok(name, f"{STATE_CONTROLLER} and {CONTROLLER} run; nothing else moves the arm")]
 
 
-def check_place(position: Sequence[float], optical_axis: Sequence[float], theta: float, config: Config) -> CheckResult:
-    """The camera's position (3,) m, optical axis (3,) and yaw, rad, in the base frame: can motion begin there."""
-    real = config.franka
-    height = config.camera.distance + (real.table_height if config.arm.robot == REAL else 0.0)
-    rise, tilt = position[2] - height, math.acos(max(-1.0, min(1.0, -optical_axis[2])))
+def check_camera_pose(
+    position: Sequence[float], optical_axis: Sequence[float], theta: float, config: Config
+) -> CheckResult:
+    """Check that motion can start at the camera's pose.
+
+    Args:
+        position: (3,) in the base frame [m].
+        optical_axis: (3,) unit vector in the base frame.
+        theta: yaw [rad].
+        config: configuration of the arm.
+    """
+    name, franka = "camera pose", config.franka
+    height = config.camera.distance + (franka.table_height if config.arm.robot == REAL else 0.0)
+    height_error, tilt = position[2] - height, math.acos(max(-1.0, min(1.0, -optical_axis[2])))
     state = (position[0], position[1], theta)
-    found = (
-        f"x {state[0]:.3f} m, y {state[1]:.3f} m, theta {state[2]:.2f} rad, {rise * 1e3:+.0f} mm from its height, "
-        f"tilted by {math.degrees(tilt):.1f} degrees"
+    message = (
+        f"x {state[0]:.3f} m, y {state[1]:.3f} m, theta {state[2]:.2f} rad, height error {height_error * 1e3:+.0f} mm, "
+        f"tilt {math.degrees(tilt):.1f} degrees"
     )
-    if abs(rise) > real.max_height_error or tilt > real.max_tilt:
-        return missing(
-            "camera's place",
-            found,
-            f"motion begins only within {real.max_height_error * 1e3:.0f} mm and {math.degrees(real.max_tilt):.1f} "
-            "degrees (franka/max_height_error, franka/max_tilt)",
-            "guide the arm by hand to where the camera looks straight down from camera/distance above the table; see "
-            "whether franka/table_height, franka/camera_position and franka/camera_rotation are right",
+    if abs(height_error) > franka.max_height_error or tilt > franka.max_tilt:
+        return error(
+            name,
+            message,
+            f"motion starts only within {franka.max_height_error * 1e3:.0f} mm and "
+            f"{math.degrees(franka.max_tilt):.1f} degrees (franka/max_height_error, franka/max_tilt)",
+            "guide the arm by hand until the camera looks straight down from camera/distance above the table; check "
+            "franka/table_height, franka/camera_position and franka/camera_rotation",
         )
     box = config.workspace.box()
-    beyond = np.maximum(np.subtract(box.lower, state), np.subtract(state, box.upper))
-    outside = [f"workspace/{name}" for name, far in zip(STATE_NAMES, beyond) if far > _OUTSIDE]
-    if np.any(beyond > (real.max_outside, real.max_outside, real.max_turn_outside)):
-        return missing(
-            "camera's place",
-            f"{found}: far outside of {', '.join(outside)}",
-            "motion does not begin there (franka/max_outside, franka/max_turn_outside)",
-            "guide the arm by hand into the workspace; or see to the camera's mount",
+    excess = np.maximum(np.subtract(box.lower, state), np.subtract(state, box.upper))
+    axes = ", ".join(f"workspace/{axis}" for axis, far in zip(STATE_NAMES, excess) if far > _BORDER_TOLERANCE)
+    if np.any(excess > (franka.max_outside, franka.max_outside, franka.max_turn_outside)):
+        return error(
+            name,
+            f"{message}: far outside {axes}",
+            "motion does not start there (franka/max_outside, franka/max_turn_outside)",
+            "guide the arm by hand into the workspace, or correct the camera mount",
         )
-    if outside:
+    if axes:
         return warning(
-            "camera's place",
-            f"{found}: outside of {', '.join(outside)}",
-            "the arm first goes back inside, straight",
-            "see that nothing is in its way; or guide it into the workspace by hand",
+            name,
+            f"{message}: outside {axes}",
+            "the arm first moves straight back into the workspace",
+            "clear its path, or guide it into the workspace by hand",
         )
-    return fine("camera's place", found)
+    return ok(name, message)
 
 
 def check_frames(tf_state: Sequence[float], arm_state: Sequence[float]) -> CheckResult:
-    """Planar pose (3,) m, m, rad of the camera by tf, against the arm's own."""
-    change = np.subtract(tf_state, arm_state)
-    distance, turn = math.hypot(change[0], change[1]), abs(math.remainder(change[2], 2.0 * math.pi))
-    found = f"tf and arm/state differ by {distance * 1e3:.1f} mm and {turn:.3f} rad"
-    if distance > FRAME_TOLERANCE or turn > TURN_TOLERANCE:
-        return missing(
+    """Compare the camera's planar pose (x [m], y [m], theta [rad]) of tf with that of arm/state."""
+    difference = np.subtract(tf_state, arm_state)
+    distance = math.hypot(difference[0], difference[1])
+    angle = abs(math.remainder(difference[2], 2.0 * math.pi))
+    message = f"tf and arm/state differ by {distance * 1e3:.1f} mm and {angle:.3f} rad"
+    if distance > POSITION_TOLERANCE or angle > ANGLE_TOLERANCE:
+        return error(
             "frames",
-            found,
-            "one of them has the camera where it is not, unless the arm is moving",
-            "the camera mount in tf has to be that of franka/camera_position and franka/camera_rotation",
+            message,
+            "one of them is wrong, unless the arm is moving",
+            "the camera mount in tf must match franka/camera_position and franka/camera_rotation",
         )
-    return fine("frames", found)
+    return ok("frames", message)

@@ -1,11 +1,11 @@
-"""What one node can see of a running system without touching anything: topics, services, nodes, frames."""
+"""Observation of the ROS graph, of topics and of tf, without side effects."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from contextlib import suppress
-from typing import Any, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 from urllib.parse import urlparse
 
 import numpy as np
@@ -16,40 +16,40 @@ import tf2_ros
 from embodied_active_learning.geometry import rotation_matrix
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.preflight.computer import Peer
-from embodied_active_learning.ros.preflight.topics import Stream
+from embodied_active_learning.ros.preflight.network import Peer
+from embodied_active_learning.ros.preflight.topics import TopicStatistics
 from embodied_active_learning.ros.runtime.master import connection_error
 
-KEPT = 30
-"""Newest messages of a topic that are kept."""
-_BUFFER = 2**26  # bytes: with a buffer smaller than an image, old ones would queue up in the socket
-_LOOK_PERIOD = 0.05  # s
+MAX_MESSAGES = 30
+"""Number of newest messages kept for each topic."""
+_BUFFER = 2**26  # bytes; with a buffer smaller than an image, old images queue up in the socket
+_POLL_PERIOD = 0.05  # s
 
 
-class Graph(NamedTuple):
-    """Who publishes and offers what, by the master."""
+class RosGraph(NamedTuple):
+    """Publishers and service providers by name, and all nodes, without this one."""
 
     publishers: Dict[str, List[str]]
     services: Dict[str, List[str]]
     nodes: Tuple[str, ...]
 
 
-def look_at_graph() -> Graph:
-    """What the master knows of others than this node."""
+def read_graph() -> RosGraph:
+    """Return the graph as the master knows it."""
     publishers, subscribers, services = (
         {name: [node for node in nodes if node != rospy.get_name()] for name, nodes in part}
         for part in rosgraph.Master(rospy.get_name()).getSystemState()
     )
     nodes = {node for part in (publishers, subscribers, services) for some in part.values() for node in some}
-    return Graph(publishers, services, tuple(sorted(nodes)))
+    return RosGraph(publishers, services, tuple(sorted(nodes)))
 
 
-def look_for_peers(nodes: Sequence[str]) -> List[Peer]:
-    """Every node with its address, and whether it answers from here."""
+def find_peers(nodes: Sequence[str]) -> List[Peer]:
+    """Return address and reachability of nodes."""
     master = rosgraph.Master(rospy.get_name())
     peers = []
     for node in nodes:
-        with suppress(rosgraph.MasterException):  # it has ended meanwhile
+        with suppress(rosgraph.MasterException):  # the node has ended meanwhile
             uri = master.lookupNode(node)
             host = urlparse(uri).hostname or uri
             peers.append(Peer(node, host, connection_error(uri), is_local(host)))
@@ -57,81 +57,85 @@ def look_for_peers(nodes: Sequence[str]) -> List[Peer]:
 
 
 def is_local(host: str) -> bool:
-    """Whether a host's name or address is this computer's."""
+    """Return whether a host name or address belongs to this computer."""
     return is_loopback(host) or rosgraph.network.is_local_address(host)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host's name or address is one that every computer calls itself."""
+    """Return whether a host name or address means the computer that uses it."""
     return host == "localhost" or host.startswith("127.") or host == "::1"
 
 
 class TopicMonitor:
-    """Listens to one topic."""
+    """Subscribes to a topic; keeps statistics and the newest messages."""
 
-    def __init__(self, name: str, message_class: Any, graph: Graph) -> None:
+    def __init__(self, name: str, message_class: Any, graph: RosGraph) -> None:
         self.topic = rospy.resolve_name(name)
-        self.messages: Deque[Any] = deque(maxlen=KEPT)
+        self.messages: Deque[Any] = deque(maxlen=MAX_MESSAGES)
         self._published = bool(graph.publishers.get(self.topic))
         self._arrivals: List[float] = []
         self._ages: List[float] = []
-        self._began = time.monotonic()
-        self._subscriber = rospy.Subscriber(name, message_class, self._hear, queue_size=KEPT, buff_size=_BUFFER)
+        self._started_at = time.monotonic()
+        self._subscriber = rospy.Subscriber(
+            name, message_class, self._on_message, queue_size=MAX_MESSAGES, buff_size=_BUFFER
+        )
 
     @property
-    def is_done(self) -> bool:
-        """Whether nothing more is to be expected where messages may come only once."""
+    def is_complete(self) -> bool:
+        """Whether a message has arrived, or none can be expected."""
         return bool(self._arrivals) or not self._published
 
-    def close(self) -> Stream:
-        """Stop listening -> what was heard."""
+    def close(self) -> TopicStatistics:
+        """Unsubscribe and return the statistics."""
         self._subscriber.unregister()
-        listened = time.monotonic() - self._began
+        duration = time.monotonic() - self._started_at
         count = min(len(self._arrivals), len(self._ages))
-        return Stream(self.topic, listened, self._arrivals[:count], self._ages[:count], self._published)
+        return TopicStatistics(self.topic, duration, self._arrivals[:count], self._ages[:count], self._published)
 
-    def _hear(self, message: Any) -> None:
+    def _on_message(self, message: Any) -> None:
         self.messages.append(message)
         self._ages.append((rospy.Time.now() - message.header.stamp).to_sec())
-        self._arrivals.append(time.monotonic() - self._began)
+        self._arrivals.append(time.monotonic() - self._started_at)
 
 
 class TfMonitor:
-    """Where tf has the camera."""
+    """Listens to tf and returns the pose of the camera in the base frame."""
 
     def __init__(self) -> None:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer)
 
     @property
-    def is_done(self) -> bool:
-        """Whether the camera's place is known."""
-        return self._buffer.can_transform(names.BASE_FRAME, names.CAMERA_FRAME, rospy.Time())
+    def is_complete(self) -> bool:
+        """Whether the camera's pose is known."""
+        return self._has_pose(rospy.Time())
 
-    def camera_at(self, states: Sequence[PlanarState]) -> Tuple[np.ndarray, Optional[PlanarState]]:
-        """(4, 4) pose of the camera in the base frame at the stamp of the newest possible state, and that state.
+    def camera_pose(self, states: Sequence[PlanarState]) -> Tuple[np.ndarray, Optional[PlanarState]]:
+        """Return the camera's pose (4, 4) at the stamp of the newest possible state, and that state.
 
-        The newest pose, and no state, where tf has none of their stamps. Raises tf2_ros.TransformException.
+        The newest pose and None if tf covers none of the stamps. Raises tf2_ros.TransformException.
         """
         for state in reversed(states):
-            stamp = state.header.stamp
-            if self._buffer.can_transform(names.BASE_FRAME, names.CAMERA_FRAME, stamp):
-                return self._pose(stamp), state
+            if self._has_pose(state.header.stamp):
+                return self._pose(state.header.stamp), state
         return self._pose(rospy.Time()), None
+
+    def _has_pose(self, stamp: rospy.Time) -> bool:
+        return self._buffer.can_transform(names.BASE_FRAME, names.CAMERA_FRAME, stamp)
 
     def _pose(self, stamp: rospy.Time) -> np.ndarray:
         transform = self._buffer.lookup_transform(names.BASE_FRAME, names.CAMERA_FRAME, stamp).transform
-        place, turn = transform.translation, transform.rotation
+        position, rotation = transform.translation, transform.rotation
         pose = np.eye(4)
-        pose[:3, :3] = rotation_matrix(turn.x, turn.y, turn.z, turn.w)
-        pose[:3, 3] = place.x, place.y, place.z
+        pose[:3, :3] = rotation_matrix(rotation.x, rotation.y, rotation.z, rotation.w)
+        pose[:3, 3] = position.x, position.y, position.z
         return pose
 
 
-def listen(ears: Sequence[Any], seconds: float, once: bool) -> None:
-    """Let wall time pass while the ears hear; once: no longer than until each is done."""
+def collect(monitors: Sequence[Union[TopicMonitor, TfMonitor]], seconds: float, stop_early: bool) -> None:
+    """Let the monitors receive messages for some seconds of wall time; stop_early: until all are complete."""
     ends_at = time.monotonic() + seconds
     while time.monotonic() < ends_at and not rospy.is_shutdown():
-        if once and all(ear.is_done for ear in ears):
+        if stop_early and all(monitor.is_complete for monitor in monitors):
             return
-        time.sleep(_LOOK_PERIOD)
+        time.sleep(_POLL_PERIOD)

@@ -1,4 +1,4 @@
-"""The pre-flight checks of a running system: what was seen, handed to the checks of the library."""
+"""Checks of a running system: it is observed for some seconds, and nothing in it is changed."""
 
 from __future__ import annotations
 
@@ -18,56 +18,58 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.camera.image_buffer import FUTURE_TOLERANCE
 from embodied_active_learning.ros.conversions import image_array, state_arrays
-from embodied_active_learning.ros.preflight import computer, image, reach, robot, topics
-from embodied_active_learning.ros.preflight.check_result import CheckResult, fine, missing
+from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
+from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok
 from embodied_active_learning.ros.preflight.ros_graph import (
     TfMonitor,
     TopicMonitor,
+    collect,
+    find_peers,
     is_local,
     is_loopback,
-    listen,
-    look_at_graph,
-    look_for_peers,
+    read_graph,
 )
+from embodied_active_learning.ros.preflight.topics import TopicLimits, check_topic
 
+FRANKA_PACKAGES = ("franka_msgs", "controller_manager_msgs", "actionlib")
 try:
-    from embodied_active_learning.ros.arm import franka_interface as franka_link
-
-    MISSING = ""
-except ImportError as error:
-    franka_link, MISSING = None, error.name or str(error)
+    from embodied_active_learning.ros.arm import franka_interface
+except ModuleNotFoundError as missing:
+    if missing.name not in FRANKA_PACKAGES:
+        raise
+    franka_interface = None  # type: ignore[assignment]
 
 SERVICES = (names.ARM_MOVE, names.ARM_GO_TO, names.ARM_HEARTBEAT, names.ARM_STOP, names.ARM_RECOVER)
-LEFT_OVER = (
+PARAMETERS = (
     names.FAILURE_PARAMETER,
     "pybullet_arm/stopped_by",
     "franka_arm/stopped_by",
     "ergodic_planner/paused_by",
     "fingerprinter/has_paused_planner",
 )
-"""Parameters that launch files begin with empty."""
-SERVICE_PATIENCE = 3.0
-"""Wall seconds within which controller_manager is there."""
-_STARTS = {
+"""Persistent parameters, which launch files clear."""
+_SERVICE_TIMEOUT = 3.0  # s of wall time
+_START = {
     SIMULATED: "roslaunch embodied_active_learning learn.launch stay:=true",
     REAL: "roslaunch embodied_active_learning robot.launch robot_ip:=...",
 }
 
 
 class System:
-    """A running system as one node sees and hears it for some seconds of wall time. Nothing in it is changed."""
+    """A running system as this node observes it. Each method checks one part."""
 
     def __init__(self, config: Config, seconds: float) -> None:
+        """Observe topics and tf for `seconds` of wall time; less for a simulated arm, which may rest."""
         self._config = config
         self._real = config.arm.robot == REAL
-        self._start = _STARTS[REAL if self._real else SIMULATED]
-        self._graph = look_at_graph()
-        self._ears = {key: TopicMonitor(name, kind, self._graph) for key, (name, kind) in self._topics().items()}
-        self._frames = TfMonitor()
-        listen([*self._ears.values(), self._frames], seconds, once=not self._real)
-        self._streams = {key: ear.close() for key, ear in self._ears.items()}
+        self._start = _START[REAL if self._real else SIMULATED]
+        self._graph = read_graph()
+        self._topics = {key: TopicMonitor(*topic, self._graph) for key, topic in self._topic_types().items()}
+        self._tf = TfMonitor()
+        collect([*self._topics.values(), self._tf], seconds, stop_early=not self._real)
+        self._statistics = {key: monitor.close() for key, monitor in self._topics.items()}
 
-    def _topics(self) -> Dict[str, Tuple[str, Any]]:
+    def _topic_types(self) -> Dict[str, Tuple[str, Any]]:
         topics: Dict[str, Tuple[str, Any]] = {
             "state": (names.ARM_STATE, PlanarState),
             "image": (names.CAMERA_IMAGE, Image),
@@ -76,168 +78,165 @@ class System:
         if not self._real:
             return topics
         compressed = rospy.get_param("camera_pipeline/transport", "raw") == "compressed"
-        source = (names.USB_CAM_COMPRESSED, CompressedImage) if compressed else (names.USB_CAM_IMAGE, Image)
-        topics["source"] = source
-        if franka_link is not None:
-            topics["robot"] = (names.FRANKA_STATES, franka_link.FrankaState)
+        topics["camera"] = (names.USB_CAM_COMPRESSED, CompressedImage) if compressed else (names.USB_CAM_IMAGE, Image)
+        if franka_interface is not None:
+            topics["robot"] = (names.FRANKA_STATES, franka_interface.FrankaState)
         return topics
 
     def clock(self) -> CheckResult:
-        """Whose time it is."""
+        """Check the source of time."""
         published = bool(self._graph.publishers.get(rospy.resolve_name("clock")))
         return computer.check_clock(bool(rospy.get_param("/use_sim_time", False)), published, self._config.arm.robot)
 
     def addresses(self) -> List[CheckResult]:
-        """This computer's address, and those of all nodes."""
+        """Check the addresses of this computer and of all nodes."""
         own = rosgraph.network.get_host_name()
         master, _ = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
-        peers = look_for_peers(self._graph.nodes)
-        return computer.check_addresses(own, is_loopback(own), os.environ, is_local(master), peers)
-
-    def left_over(self) -> List[CheckResult]:
-        """What an earlier launch, or an operator, has left with the master."""
-        values = {rospy.resolve_name(name): rospy.get_param(rospy.resolve_name(name), "") for name in LEFT_OVER}
-        return computer.check_left_over(values)
-
-    def robot_state(self) -> List[CheckResult]:
-        """What franka_ros says of the robot."""
-        if "robot" not in self._streams:
-            return [_unreadable("robot state", names.FRANKA_STATES)]
-        limits = topics.Limits(self._config.franka.state_max_age, FUTURE_TOLERANCE)
-        why = "franka_arm knows by it where the arm is, and whether it may move"
-        finding = topics.check_stream("robot state", self._streams["robot"], why, self._start, limits)
-        newest = self._newest("robot")
-        if newest is None:
-            return [finding]
-        errors = franka_link.error_names(newest.current_errors)
+        peers = find_peers(self._graph.nodes)
         return [
-            finding,
-            *robot.check_robot_state(newest.robot_mode, errors, newest.control_command_success_rate),
+            network.check_own_address(own, is_loopback(own), os.environ, is_local(master), peers),
+            network.check_peers(peers),
         ]
 
+    def stale_parameters(self) -> List[CheckResult]:
+        """Check the persistent parameters."""
+        values = {rospy.resolve_name(name): rospy.get_param(rospy.resolve_name(name), "") for name in PARAMETERS}
+        return computer.check_stale_parameters(values)
+
+    def robot_state(self) -> List[CheckResult]:
+        """Check franka_states."""
+        if "robot" not in self._statistics:
+            return [_cannot_read("robot state", names.FRANKA_STATES)]
+        limits = TopicLimits(self._config.franka.state_max_age, FUTURE_TOLERANCE)
+        reason = "franka_arm needs the pose and the mode of the robot"
+        result = check_topic("robot state", self._statistics["robot"], reason, self._start, limits)
+        newest = self._newest("robot")
+        if newest is None:
+            return [result]
+        errors = franka_interface.error_names(newest.current_errors)
+        return [result, *robot.check_robot_state(newest.robot_mode, errors, newest.control_command_success_rate)]
+
     def controllers(self) -> List[CheckResult]:
-        """What controller_manager runs, and whether reflexes can be recovered from."""
-        return [*self._controllers(), self._recovery()]
+        """Check the controllers and the action that recovers from reflexes."""
+        topic = f"{rospy.resolve_name(names.FRANKA_RECOVERY)}/status"
+        reason = "franka_arm recovers from reflexes with it"
+        recovery = computer.check_advertised(
+            list(self._graph.publishers), [topic], "error recovery", reason, self._start
+        )
+        return [*self._controllers(), recovery]
 
     def _controllers(self) -> List[CheckResult]:
-        if franka_link is None:
-            return [_unreadable("controllers", names.CONTROLLERS)]
+        if franka_interface is None:
+            return [_cannot_read("controllers", names.CONTROLLERS)]
         name = rospy.resolve_name(names.CONTROLLERS)
         try:
-            rospy.wait_for_service(name, SERVICE_PATIENCE)
-            answer = rospy.ServiceProxy(name, franka_link.ListControllers)()
-        except (rospy.ROSException, rospy.ServiceException) as error:
-            why = "franka_arm moves the arm by a controller that it loads and starts there"
-            return [missing("controllers", f"{name} does not answer: {error}", why, self._start)]
-        set_points_from = self._graph.publishers.get(rospy.resolve_name(names.FRANKA_SET_POINT), [])
-        return robot.check_controllers(franka_link.controllers_of(answer), set_points_from)
-
-    def _recovery(self) -> CheckResult:
-        topic = f"{rospy.resolve_name(names.FRANKA_RECOVERY)}/status"
-        return computer.check_services(
-            list(self._graph.publishers), [topic], self._start, "error recovery", "reflexes are recovered from by it"
-        )
+            rospy.wait_for_service(name, _SERVICE_TIMEOUT)
+            response = rospy.ServiceProxy(name, franka_interface.ListControllers)()
+        except (rospy.ROSException, rospy.ServiceException) as problem:
+            reason = "franka_arm loads and starts its controller with it"
+            return [error("controllers", f"no response of {name}: {problem}", reason, self._start)]
+        publishers = self._graph.publishers.get(rospy.resolve_name(names.FRANKA_SET_POINT), [])
+        return robot.check_controllers(franka_interface.controllers_of(response), publishers)
 
     def arm_state(self) -> CheckResult:
-        """What the node in front of the arm says of it."""
-        why = "an image is of use only with the pose from which it was taken"
-        return topics.check_stream("arm state", self._streams["state"], why, self._start, self._limits())
+        """Check arm/state."""
+        reason = "images are used only with the pose from which they were taken"
+        return check_topic("arm state", self._statistics["state"], reason, self._start, self._limits())
 
     def services(self) -> CheckResult:
-        """What the arm is moved by."""
-        needed = [rospy.resolve_name(name) for name in SERVICES]
-        why = "planner and fingerprinter move the arm by them"
-        return computer.check_services(list(self._graph.services), needed, self._start, "services", why)
+        """Check the services of the arm."""
+        required = [rospy.resolve_name(name) for name in SERVICES]
+        reason = "planner and fingerprinter move the arm with them"
+        return computer.check_advertised(list(self._graph.services), required, "services", reason, self._start)
 
-    def source(self) -> CheckResult:
-        """What the camera's driver publishes."""
-        why = "camera_pipeline makes the model's images of it"
-        start = f"{self._start}; rosrun usb_cam usb_cam_node, and see that its device is the camera"
-        finding = topics.check_stream("camera", self._streams["source"], why, start, self._limits())
-        newest = self._newest("source")
+    def camera(self) -> CheckResult:
+        """Check the images of the camera driver."""
+        reason = "camera_pipeline needs the images of the camera driver"
+        remedy = f"{self._start}; check the device of the camera driver (usb_cam)"
+        result = check_topic("camera", self._statistics["camera"], reason, remedy, self._limits())
+        newest = self._newest("camera")
         if newest is None:
-            return finding
-        kind = f"{newest.width} x {newest.height} {newest.encoding}" if isinstance(newest, Image) else newest.format
-        return finding.with_more(kind)
+            return result
+        is_raw = isinstance(newest, Image)
+        return result.with_detail(f"{newest.width} x {newest.height} {newest.encoding}" if is_raw else newest.format)
 
     def images(self) -> List[CheckResult]:
-        """What the model gets to see."""
-        start = "start camera_pipeline, and see what it says" if self._real else self._start
-        why = "the model learns from these images"
-        finding = topics.check_stream("images", self._streams["image"], why, start, self._limits())
-        messages = list(self._ears["image"].messages)
+        """Check the images of the model."""
+        remedy = "start camera_pipeline, or see its log" if self._real else self._start
+        reason = "the model learns from these images"
+        result = check_topic("images", self._statistics["image"], reason, remedy, self._limits())
+        messages = list(self._topics["image"].messages)
         if not messages:
-            return [finding]
+            return [result]
         camera = self._config.camera
         try:
             arrays = [image_array(message, camera.height, camera.width) for message in messages]
-        except ObservationError as error:
-            return [finding, missing("picture", str(error), why, start)]
-        return [finding, *image.check_picture(arrays, camera, self._real)]
+        except ObservationError as problem:
+            return [result, error("image content", str(problem), reason, remedy)]
+        return [result, *images.check_content(arrays, camera, self._real)]
 
     def camera_matrix(self) -> CheckResult:
-        """What the camera's geometry is said to be."""
+        """Check camera_info."""
         newest = self._newest("info")
         if newest is None:
-            why = "whoever measures in images needs it"
-            return topics.check_stream("camera matrix", self._streams["info"], why, self._start, None)
-        return image.check_camera_matrix(newest.K, newest.height, newest.width, self._config.camera)
+            reason = "measurements in images need it"
+            return check_topic("camera matrix", self._statistics["info"], reason, self._start, None)
+        return images.check_camera_matrix(newest.K, newest.height, newest.width, self._config.camera)
 
     def frames(self) -> List[CheckResult]:
-        """Where tf has the camera, and whether motion can begin there."""
-        states = list(self._ears["state"].messages)
+        """Check tf, and whether motion can start at the camera's pose."""
+        states = list(self._topics["state"].messages)
         try:
-            pose, state = self._frames.camera_at(states)
-        except tf2_ros.TransformException as error:
+            pose, state = self._tf.camera_pose(states)
+        except tf2_ros.TransformException as problem:
             if not self._real and self._graph.publishers.get(rospy.resolve_name("tf")):
-                # A simulated arm that stands still has told its joints, and tf its frames, before this node came.
-                return [fine("frames", "tf is published while the arm moves")]
+                return [ok("frames", "tf is published while the arm moves")]
             return [
-                missing(
+                error(
                     "frames",
-                    f"tf does not lead from {names.BASE_FRAME} to {names.CAMERA_FRAME}: {error}",
-                    "rviz, rosbag and calibration tools go by tf",
-                    "start robot_state_publisher; of a real robot franka_state_controller publishes panda_EE, and "
-                    "camera_pipeline the camera mount",
+                    f"no transform from {names.BASE_FRAME} to {names.CAMERA_FRAME}: {problem}",
+                    "rviz, rosbag and calibration tools need tf",
+                    "start robot_state_publisher; franka_state_controller publishes panda_EE, and camera_pipeline the "
+                    "camera mount",
                 )
             ]
         theta = math.atan2(pose[1, 0], pose[0, 0])
-        findings = [robot.check_place(pose[:3, 3], pose[:3, 2], theta, self._config)]
+        results = [robot.check_camera_pose(pose[:3, 3].tolist(), pose[:3, 2].tolist(), theta, self._config)]
         if state is not None:
-            findings.insert(0, robot.check_frames((pose[0, 3], pose[1, 3], theta), state_arrays(state)[0]))
+            results.insert(0, robot.check_frames((pose[0, 3], pose[1, 3], theta), state_arrays(state)[0].tolist()))
         elif states:
-            findings.insert(
+            results.insert(
                 0,
-                missing(
+                error(
                     "frames",
-                    "tf has no pose of the camera at the stamps of arm/state",
-                    "images are placed by tf in rviz",
-                    "synchronise the computers' clocks; see that joint states are published",
+                    "tf has no camera pose at the stamps of arm/state",
+                    "rviz places images with tf",
+                    "synchronise the clocks of the computers; check that joint states are published",
                 ),
             )
-        return findings
+        return results
 
     def reach(self) -> CheckResult:
-        """Whether all of the workspace can be reached."""
+        """Check that the arm reaches the workspace."""
         newest = self._newest("robot")
-        hand = None if newest is None else np.reshape(newest.F_T_EE, (4, 4)).T
-        finding = reach.check_reach(reach.find_reach(self._config, hand))
-        if self._real and hand is None:
-            return finding.with_more("with the flange for an end effector, as F_T_EE is not known")
-        return finding
+        end_effector = None if newest is None else np.reshape(newest.F_T_EE, (4, 4)).T
+        result = reach.check_reach(reach.find_reach(self._config, end_effector))
+        if self._real and end_effector is None:
+            return result.with_detail("assuming the end effector at the flange, because F_T_EE is unknown")
+        return result
 
-    def _limits(self) -> Optional[topics.Limits]:
-        return topics.Limits(self._config.camera.max_age, FUTURE_TOLERANCE) if self._real else None
+    def _limits(self) -> Optional[TopicLimits]:
+        return TopicLimits(self._config.camera.max_age, FUTURE_TOLERANCE) if self._real else None
 
     def _newest(self, key: str) -> Any:
-        messages = self._ears[key].messages if key in self._ears else ()
+        messages = self._topics[key].messages if key in self._topics else ()
         return messages[-1] if messages else None
 
 
-def _unreadable(about: str, name: str) -> CheckResult:
-    return missing(
-        about,
-        f"{rospy.resolve_name(name)} cannot be read: {MISSING} is not installed here",
+def _cannot_read(name: str, topic: str) -> CheckResult:
+    return error(
+        name,
+        f"{rospy.resolve_name(topic)} cannot be read: {', '.join(FRANKA_PACKAGES)} are not all installed",
         "franka_arm cannot read it either",
-        "apt-get install ros-noetic-franka-ros; or run preflight on the robot's computer",
+        "apt-get install ros-noetic-franka-ros, or run preflight on the robot's computer",
     )

@@ -1,4 +1,4 @@
-"""Checks of topics: whether somebody publishes, often enough, and with stamps of now."""
+"""Checks of topics: publisher, rate, age of the messages."""
 
 from __future__ import annotations
 
@@ -7,80 +7,86 @@ from typing import NamedTuple, Optional, Sequence
 
 import numpy as np
 
-from embodied_active_learning.ros.preflight.check_result import CheckResult, fine, missing
+from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok
 
 
 @dataclass(frozen=True)
-class Stream:
-    """What was heard on a topic: when messages arrived (wall time, s), and how old their stamps were then, s."""
+class TopicStatistics:
+    """Messages received on a topic during some seconds of wall time."""
 
     topic: str
-    listened: float  # s
-    arrivals: Sequence[float] = ()  # s since listening began
-    ages: Sequence[float] = ()
+    duration: float  # [s]
+    arrivals: Sequence[float] = ()  # [s] since the start
+    ages: Sequence[float] = ()  # [s] of their stamps on arrival
     published: bool = True
 
     @property
     def rate(self) -> float:
-        """Messages per second; 0 when there were not two."""
+        """Messages per second; 0 for fewer than two."""
         if len(self.arrivals) < 2:
             return 0.0
         return (len(self.arrivals) - 1) / max(self.arrivals[-1] - self.arrivals[0], 1e-6)
 
     @property
-    def longest_gap(self) -> float:
-        """Longest time without a message since the first one, s."""
-        return float(np.diff([*self.arrivals, self.listened]).max())
+    def max_gap(self) -> float:
+        """Longest time without a message after the first one [s]."""
+        return float(np.diff([*self.arrivals, self.duration]).max())
 
     @property
     def age(self) -> float:
-        """Median age of the messages when they arrived, s."""
+        """Median age on arrival [s]."""
         return float(np.median(self.ages))
 
 
-class Limits(NamedTuple):
-    """What a stream has to keep, in seconds."""
+class TopicLimits(NamedTuple):
+    """Limits of a topic in seconds."""
 
-    longest_gap: float  # without a message, and the highest age of one
-    future: float  # that a stamp may be ahead, because two computers' clocks differ
+    max_age: float  # also of the time without a message
+    max_future: float  # of a stamp ahead of this computer's clock
 
 
-def check_stream(about: str, stream: Stream, why: str, start: str, limits: Optional[Limits]) -> CheckResult:
-    """Whether messages come within limits; None where time may stand still, as simulated time does.
+def check_topic(
+    name: str, statistics: TopicStatistics, reason: str, remedy: str, limits: Optional[TopicLimits]
+) -> CheckResult:
+    """Check that messages arrive within the limits.
 
-    why: what the topic is needed for; start: how to have it published.
+    Args:
+        name: name of the check.
+        statistics: the messages received.
+        reason: what the topic is needed for.
+        remedy: command that starts a publisher.
+        limits: None with simulated time, which stands still between commands.
     """
-    topic = stream.topic
-    if not stream.published:
-        return missing(about, f"nobody publishes {topic}", why, start)
-    if not stream.arrivals:
-        return missing(
-            about, f"nothing came on {topic} in {stream.listened:.1f} s", why, f"look at its node's log; or {start}"
-        )
-    return fine(about, f"{topic} is there") if limits is None else _check_times(about, stream, limits)
+    topic = statistics.topic
+    if not statistics.published:
+        return error(name, f"{topic} has no publisher", reason, remedy)
+    if not statistics.arrivals:
+        message = f"no message on {topic} in {statistics.duration:.1f} s"
+        return error(name, message, reason, f"see the log of its publisher, or {remedy}")
+    return ok(name, f"{topic} is published") if limits is None else _check_limits(name, statistics, limits)
 
 
-def _check_times(about: str, stream: Stream, limits: Limits) -> CheckResult:
-    found = f"{stream.topic} at {stream.rate:.1f} Hz, {stream.age:.3f} s old"
-    if stream.age < -limits.future:
-        return missing(
-            about,
-            f"{stream.topic} is stamped {-stream.age:.2f} s in the future",
-            "images and poses are paired by their stamps",
-            "synchronise the computers' clocks: chrony or ntp on both",
+def _check_limits(name: str, statistics: TopicStatistics, limits: TopicLimits) -> CheckResult:
+    message = f"{statistics.topic} at {statistics.rate:.1f} Hz, {statistics.age:.3f} s old"
+    if statistics.age < -limits.max_future:
+        return error(
+            name,
+            f"stamps on {statistics.topic} are {-statistics.age:.2f} s in the future",
+            "images and poses are matched by their stamps",
+            "synchronise the clocks of the computers with chrony or ntp",
         )
-    if stream.age > limits.longest_gap:
-        return missing(
-            about,
-            f"{found}; {limits.longest_gap:g} s are allowed",
-            "what is that old is not used, and the arm is held still",
-            "synchronise the computers' clocks, take a cable in place of wireless, or free the computer",
+    if statistics.age > limits.max_age:
+        return error(
+            name,
+            f"{message} (limit {limits.max_age:g} s)",
+            "older messages are rejected, and the arm does not move",
+            "synchronise the clocks of the computers, use a cable instead of WLAN, or reduce the CPU load",
         )
-    if stream.longest_gap > limits.longest_gap:
-        return missing(
-            about,
-            f"{found}, with a gap of {stream.longest_gap:.2f} s; {limits.longest_gap:g} s are allowed",
-            "without it the arm is held still",
-            "look at the publisher's log and at the network between here and there",
+    if statistics.max_gap > limits.max_age:
+        return error(
+            name,
+            f"{message}, longest gap {statistics.max_gap:.2f} s (limit {limits.max_age:g} s)",
+            "the arm stops during such a gap",
+            "see the log of its publisher, and check the network",
         )
-    return fine(about, found)
+    return ok(name, message)
