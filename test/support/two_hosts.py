@@ -23,7 +23,7 @@ class TwoHosts:
         return ["ip", "netns", "exec", self.namespace(host), *map(str, words)]
 
     def environment(self, host, home):
-        """The variables of docs/machines.md, for one host."""
+        """The variables of docs/two_computers.md, for one host."""
         variables = {key: value for key, value in os.environ.items() if key != "ROS_HOSTNAME"}
         return {
             **variables,
