@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The camera pipeline as a node: pictures of every encoding become the model's images, and the rest is told."""
+"""Node camera_pipeline: pictures of every encoding become the model's images; others are dropped and reported."""
 
 import threading
 import unittest
@@ -22,7 +22,7 @@ HEIGHT, WIDTH = 360, 640
 
 
 def checkerboard():
-    """Squares of 80 pixels in two colours, as the middle of a wide picture that is white at the sides."""
+    """A wide picture: squares of 80 pixels in two colours in the middle, white at the sides."""
     rows, columns = np.mgrid[0:HEIGHT, 0:HEIGHT] // 80
     middle = np.where((rows + columns)[..., None] % 2, (200, 60, 20), (20, 60, 200))
     picture = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
@@ -31,7 +31,7 @@ def checkerboard():
 
 
 def packed(picture, order):
-    """A picture in a 4:2:2 encoding: each two pixels that share their colour are the same here."""
+    """Encode a picture in 4:2:2; here, pixels that share their chroma have equal colours."""
     y, v, u = np.moveaxis(cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb).astype(float), -1, 0)
     y, u, v = 16 + y * 219 / 255, 128 + (u - 128) * 224 / 255, 128 + (v - 128) * 224 / 255
     pixels = np.empty((HEIGHT, WIDTH, 2), np.uint8)
@@ -44,7 +44,7 @@ def packed(picture, order):
 
 
 class Inbox:
-    """What arrives on a topic; waits for what is wanted."""
+    """Messages received on a topic."""
 
     def __init__(self, topic, message_class):
         self._messages, self._condition = [], threading.Condition()
@@ -58,7 +58,7 @@ class Inbox:
     def wait_for(self, wanted):
         with self._condition:
             found = self._condition.wait_for(lambda: [item for item in self._messages if wanted(item)], TIMEOUT)
-        assert found, "it did not arrive"
+        assert found, "no such message arrived"
         return found[-1]
 
 
@@ -72,9 +72,9 @@ class CameraPipelineTest(unittest.TestCase):
         cls.from_compressed = Inbox("compressed/camera/image_raw", Image)
         cls.log, cls.diagnostics = Inbox("/rosout", Log), Inbox("/diagnostics", DiagnosticArray)
         ends = (cls.camera, cls.calibration, cls.compressed, cls.images.subscriber, cls.from_compressed.subscriber)
-        give_up_at = rospy.get_time() + TIMEOUT
+        deadline = rospy.get_time() + TIMEOUT
         while not all(end.get_num_connections() for end in ends):
-            assert rospy.get_time() < give_up_at, "the nodes did not start"
+            assert rospy.get_time() < deadline, "the nodes did not start"
             rospy.rostime.wallsleep(0.05)
         cls.stamp = rospy.Time(100)
 
@@ -83,14 +83,14 @@ class CameraPipelineTest(unittest.TestCase):
         return self.stamp
 
     def show(self, array, encoding, padding=0):
-        """Publish a picture -> the image that comes of it."""
+        """Publish a picture -> the resulting image."""
         rows = np.pad(array.reshape(array.shape[0], -1), ((0, 0), (0, padding)))
         header = Header(stamp=self.next_stamp(), frame_id="head_camera")
         height, width = array.shape[:2]
         self.camera.publish(Image(header, height, width, encoding, 0, rows.shape[1], rows.tobytes()))
         return self.images.wait_for(lambda message: message.header.stamp == header.stamp)
 
-    def test_every_encoding_becomes_the_image_of_the_model_at_the_pictures_own_stamp(self):
+    def test_every_encoding_is_converted_with_its_stamp(self):
         picture = checkerboard()
         expected = cv2.resize(picture[:, 140:500], (180, 180), interpolation=cv2.INTER_AREA)
         alpha = np.full((HEIGHT, WIDTH, 1), 255, np.uint8)
@@ -107,13 +107,13 @@ class CameraPipelineTest(unittest.TestCase):
                 image = image_array(message, 180, 180)
                 np.testing.assert_allclose(image.astype(int), expected, atol=tolerance)
 
-    def test_a_picture_of_the_right_size_is_passed_on_as_it_is(self):
+    def test_picture_of_model_size_is_passed_unchanged(self):
         picture = np.random.default_rng(0).integers(0, 256, (180, 180, 3), dtype=np.uint8)
         message = self.show(picture, "rgb8")
         self.assertEqual(message.data, picture.tobytes())
         self.assertEqual(message.header.frame_id, "camera_optical_frame")
 
-    def test_compressed_pictures_are_taken_where_the_node_is_told_so(self):
+    def test_compressed_transport_is_selectable(self):
         picture = checkerboard()
         for ending in ("png", "jpg"):
             with self.subTest(ending):
@@ -127,39 +127,39 @@ class CameraPipelineTest(unittest.TestCase):
                 np.testing.assert_allclose(image[20, 20], (20, 60, 200), atol=12)
                 np.testing.assert_allclose(image[20, 60], (200, 60, 20), atol=12)
 
-    def test_of_a_real_arm_tf_has_the_camera_where_it_is_mounted(self):
+    def test_camera_mount_of_real_arm_is_in_tf(self):
         (transform,) = Inbox("compressed/tf_static", TFMessage).wait_for(lambda message: True).transforms
         self.assertEqual((transform.header.frame_id, transform.child_frame_id), ("panda_EE", "camera_optical_frame"))
         place, turn = transform.transform.translation, transform.transform.rotation
         self.assertEqual((place.x, place.y, place.z), (0.05, 0.0, 0.02))
         self.assertAlmostEqual(2.0 * np.arctan2(turn.z, turn.w), 1.5)
 
-    def test_the_camera_matrix_is_of_the_image_and_a_field_of_view_that_does_not_fit_is_told(self):
+    def test_camera_info_is_of_image_and_wrong_view_is_logged(self):
         self.show(checkerboard(), "rgb8")
         info = self.infos.wait_for(lambda message: message.header.stamp == self.stamp)
         self.assertAlmostEqual(field_of_view(np.reshape(info.K, (3, 3)), info.height), 30.0)
-        wide = camera_info_message(rospy.Time(), intrinsics(WIDTH, HEIGHT, 40.0), HEIGHT, WIDTH)
-        wide.D = [0.1, -0.2, 0.0, 0.0, 0.0]
+        narrow = camera_info_message(rospy.Time(), intrinsics(WIDTH, HEIGHT, 20.0), HEIGHT, WIDTH)
+        narrow.D = [0.1, -0.2, 0.0, 0.0, 0.0]
         for _ in range(200):  # the calibration has a connection of its own
-            self.calibration.publish(wide)
+            self.calibration.publish(narrow)
             self.show(checkerboard(), "rgb8")
             info = self.infos.wait_for(lambda message: message.header.stamp == self.stamp)
             if info.D[0]:
                 break
         self.assertEqual((info.height, info.width, info.header.frame_id), (180, 180, "camera_optical_frame"))
-        self.assertAlmostEqual(field_of_view(np.reshape(info.K, (3, 3)), info.height), 40.0)
+        self.assertAlmostEqual(field_of_view(np.reshape(info.K, (3, 3)), info.height), 20.0)
         np.testing.assert_allclose((info.K[2], info.K[5]), 89.5)
-        said = self.log.wait_for(lambda message: "calibrated field of view" in message.msg).msg
-        self.assertIn("is 40.0 degrees, camera/field_of_view is 30.0", said)
+        logged = self.log.wait_for(lambda message: "positions on the table are wrong" in message.msg).msg
+        self.assertIn("field_of_view is 30.0 degrees, the calibrated camera has field of view 20.0 degrees", logged)
 
-    def test_pictures_that_cannot_be_used_are_dropped_counted_and_told(self):
+    def test_unusable_pictures_are_dropped_and_reported(self):
         for _ in range(3):
             header = Header(stamp=self.next_stamp())
             self.camera.publish(Image(header, HEIGHT, WIDTH, "bayer_rggb8", 0, WIDTH, bytes(HEIGHT * WIDTH)))
-            said = self.diagnostics.wait_for(
+            status_array = self.diagnostics.wait_for(
                 lambda message: any("bayer_rggb8" in status.message for status in message.status)
             )
-        status = next(status for status in said.status if "bayer_rggb8" in status.message)
+        status = next(status for status in status_array.status if "bayer_rggb8" in status.message)
         self.assertEqual(status.level, status.WARN)
         values = {item.key: item.value for item in status.values}
         self.assertGreaterEqual(int(values["pictures dropped"]), 1)

@@ -1,0 +1,72 @@
+"""Convert a driver's pictures to the model's images."""
+
+from __future__ import annotations
+
+from typing import Optional, Tuple, Union
+
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.images import Framing, decode_compressed, decode_raw
+from embodied_active_learning.ros import names
+from embodied_active_learning.ros.camera.camera_info import Calibration, calibrate
+from embodied_active_learning.ros.conversions import image_message
+
+Picture = Union[Image, CompressedImage]
+
+
+class ImageConverter:
+    """Converts pictures of any size and encoding: decode, rectify if calibrated, else crop the centre, and scale."""
+
+    def __init__(self, camera: CameraConfig) -> None:
+        self._camera = camera
+        self._info: Optional[CameraInfo] = None
+        self._framing: Optional[Framing] = None
+        self._outdated = True
+        self.calibration: Optional[Calibration] = None
+        """Calibration of the last picture; None before the first."""
+        self.format = "unknown"
+        """Size and encoding of the last picture."""
+
+    @property
+    def has_driver_info(self) -> bool:
+        """Whether the driver has sent camera_info."""
+        return self._info is not None
+
+    def set_info(self, info: CameraInfo) -> None:
+        """Store the driver's camera_info."""
+        if self._info is None or _parameters(info) != _parameters(self._info):
+            self._outdated = True
+        self._info = info
+
+    def convert(self, picture: Picture) -> Tuple[Image, CameraInfo]:
+        """Return image and camera_info with the picture's stamp. Raises ObservationError for an unusable picture."""
+        raw = isinstance(picture, Image)
+        if raw:
+            array = decode_raw(picture.data, picture.encoding, picture.height, picture.width, picture.step)
+        else:
+            array = decode_compressed(picture.data)
+        height, width = array.shape[:2]
+        self.format = f"{width} x {height}, {picture.encoding if raw else picture.format}"
+        framing = Framing.between((height, width), (self._camera.height, self._camera.width))
+        calibration = self._calibrate(framing)
+        info = CameraInfo(**{name: getattr(calibration.info, name) for name in CameraInfo.__slots__})
+        if calibration.rectification is not None:
+            image = image_message(picture.header.stamp, calibration.rectification.apply(array))
+        elif raw and framing.changes_nothing and (picture.encoding, picture.step) == ("rgb8", 3 * width):
+            image = picture
+            image.header.frame_id = names.CAMERA_FRAME
+        else:
+            image = image_message(picture.header.stamp, framing.apply(array))
+        info.header = image.header
+        return image, info
+
+    def _calibrate(self, framing: Framing) -> Calibration:
+        if self.calibration is None or self._outdated or framing != self._framing:
+            self._outdated, self._framing = False, framing
+            self.calibration = calibrate(self._info, framing, self._camera)
+        return self.calibration
+
+
+def _parameters(info: CameraInfo) -> Tuple:
+    return info.height, info.width, info.distortion_model, tuple(info.D), tuple(info.K), tuple(info.R), tuple(info.P)
