@@ -19,9 +19,9 @@ from measuring import Row, Section, Turn, rows_of, run, take_turns, timed
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.controller import ErgodicController
-from embodied_active_learning.exploration.coverage import workspace_coverage
+from embodied_active_learning.exploration.kernel import workspace_coverage
+from embodied_active_learning.exploration.objective import target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.exploration.target import target_distribution
 from embodied_active_learning.model.allocator import keep_freed_memory
 from embodied_active_learning.model.learner import Learner
 

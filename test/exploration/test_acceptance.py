@@ -1,4 +1,4 @@
-"""What the ergodic controller must achieve, in closed loop with perfect dynamics (docs/method.md, sections 4 and 5)."""
+"""Acceptance of the ergodic controller in closed loop with perfect dynamics."""
 
 import dataclasses
 
@@ -7,13 +7,13 @@ import pytest
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.controller import ErgodicController
+from embodied_active_learning.exploration.objective import flat_distribution, kl_ergodic, target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.exploration.target import flat_distribution, kl_ergodic, target_distribution
 from embodied_active_learning.rng import Stream
 
 BUMPS = np.array([[-0.63, -0.67], [0.3, 0.53]])  # normalised x, y
-# nats at these steps; a prototype had 2.3, 1.25, 0.52, 0.22, this controller has 1.6, 0.7, 0.25, 0.13
-STEPS, MOST = (31, 60, 120, 200), (2.1, 1.1, 0.42, 0.20)
+# D_KL [nat] at these steps: 2.3, 1.25, 0.52, 0.22 with a prototype, 1.6, 0.7, 0.25, 0.13 with this controller
+STEPS, LIMITS = (31, 60, 120, 200), (2.1, 1.1, 0.42, 0.20)
 
 
 def configuration(seed, planner=None, **exploration):
@@ -26,7 +26,7 @@ def configuration(seed, planner=None, **exploration):
 
 
 def two_bumps(samples):
-    """sigma(s) = 0.02 + 0.15 sum exp(-d^2 / 0.08), d the distance to a bump in x and y."""
+    """Return the target for std(s) = 0.02 + 0.15 sum exp(-d^2 / 0.08), d the distance to a bump in x and y."""
     square = np.sum((samples.states[:, np.newaxis, :2] - BUMPS) ** 2, axis=-1)
     log_std = np.log(0.02 + 0.15 * np.sum(np.exp(-0.5 * square / 0.04), axis=1))
     return target_distribution(log_std, samples.coverage)
@@ -37,7 +37,7 @@ def flat(samples):
 
 
 def explore(config, target_of, steps):
-    """Yields samples, this step's target and plan of a controller that starts at rest in the middle."""
+    """Run a controller from rest in the middle; yield samples, target and planned states of each step."""
     controller, samples = ErgodicController(config, config.exploration.seed), WorkspaceSamples(config)
     samples.visit(np.zeros(3))
     for _ in range(steps):
@@ -50,7 +50,7 @@ def explore(config, target_of, steps):
 
 
 @pytest.mark.parametrize(("fresh", "normalise"), [(1000, False), (100, True)])
-def test_two_bumps_are_covered_faster_than_by_the_prototype(fresh, normalise):
+def test_ergodic_measure_of_two_bumps_beats_prototype(fresh, normalise):
     measures = []
     for seed in range(4):
         config = configuration(
@@ -58,19 +58,19 @@ def test_two_bumps_are_covered_faster_than_by_the_prototype(fresh, normalise):
         )
         run = enumerate(explore(config, two_bumps, 200), start=1)
         measures.append([kl_ergodic(h, samples.visitation_with(plan)) for i, (samples, h, plan) in run if i in STEPS])
-    assert np.all(np.mean(measures, axis=0) <= MOST), np.mean(measures, axis=0)
+    assert np.all(np.mean(measures, axis=0) <= LIMITS), np.mean(measures, axis=0)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_flat_target_is_covered_evenly_without_ever_standing_still(seed):
+def test_flat_target_covered_evenly_without_standstill(seed):
     samples = list(explore(configuration(seed), flat, 400))[-1][0]
     assert longest_standstill(samples.visited) <= 5
-    judge = WorkspaceSamples(configuration(seed + 1000), samples.visited, Stream.EVALUATION)
-    assert kl_ergodic(flat(judge), judge.visitation) <= 0.06
+    evaluation = WorkspaceSamples(configuration(seed + 1000), samples.visited, Stream.EVALUATION)
+    assert kl_ergodic(flat(evaluation), evaluation.visitation) <= 0.06
 
 
 def longest_standstill(visited):
-    """Steps in a row that change no coordinate by 0.001."""
+    """Return the largest number of consecutive steps that change every coordinate by less than 0.001."""
     longest = current = 0
     for still in np.max(np.abs(np.diff(visited, axis=0)), axis=1) < 1e-3:
         current = current + 1 if still else 0
@@ -78,7 +78,7 @@ def longest_standstill(visited):
     return longest
 
 
-def test_a_corner_is_left_at_once():
+def test_controller_leaves_corner_immediately():
     config = configuration(0)
     controller, samples = ErgodicController(config, 0), WorkspaceSamples(config)
     position = np.ones(3)

@@ -1,4 +1,4 @@
-"""The double integrator and the barrier: numbers by hand, limits for any control, gradients by finite differences."""
+"""Double integrator and barrier: hand-computed numbers, limits, gradients against finite differences."""
 
 import dataclasses
 
@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.exploration.barrier import Barrier
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
+from embodied_active_learning.exploration.objective import Barrier
 
 DYNAMICS = DoubleIntegrator.from_config(Config())
 BARRIER = Barrier.from_config(Config())
@@ -19,16 +19,16 @@ RELATIVE_VELOCITY = arrays(np.float64, (3,), elements=st.floats(-1, 1))
 CONTROLS = arrays(np.float64, (4, 10, 3), elements=st.floats(-1, 1))
 
 
-def test_the_gains_of_the_default_arm_are_those_of_its_speeds():
+def test_default_gains_follow_from_speed_limits():
     np.testing.assert_allclose(DYNAMICS.gain, [0.8, 0.8, 1.2])
 
 
-def test_top_speed_of_the_arm_is_the_velocity_limit():
+def test_velocity_limit_is_top_speed_of_arm():
     np.testing.assert_allclose(DYNAMICS.to_si(DYNAMICS.velocity_limit), [0.15, 0.15, 1.5])
     np.testing.assert_allclose(DYNAMICS.from_si([0.12, -0.06, 2.4]), [1.0, -0.5, 1.0])
 
 
-def test_one_step_is_that_computed_by_hand():
+def test_one_step_by_hand():
     control = np.array([1.0, -1.0, 0.5])
     rollout = DYNAMICS.rollout(np.array([0.1, 0.2, -0.3]), np.array([0.5, 0.0, 0.5]), control[np.newaxis, np.newaxis])
     # pos + 0.16 vel + 0.016 u in x and y, pos + 0.24 vel + 0.024 u in theta; vel + 0.2 u
@@ -36,21 +36,21 @@ def test_one_step_is_that_computed_by_hand():
     np.testing.assert_allclose(rollout.velocities[0, 0], [0.7, -0.2, 0.6])
 
 
-def test_at_the_border_position_stops_and_outward_velocity_is_lost():
+def test_border_stops_position_and_outward_velocity():
     rollout = DYNAMICS.rollout(np.array([0.95, -0.95, 0.0]), np.array([1.0, -1.0, 0.0]), np.zeros((1, 3, 3)))
     np.testing.assert_array_equal(rollout.positions[0, -1], [1.0, -1.0, 0.0])
     np.testing.assert_array_equal(rollout.velocities[0, -1], [0.0, 0.0, 0.0])
 
 
 @given(POSITION, RELATIVE_VELOCITY, CONTROLS, st.floats(0.1, 1000))
-def test_no_predicted_state_leaves_the_workspace_or_exceeds_the_speed(position, velocity, controls, strength):
+def test_predictions_stay_within_workspace_and_speed(position, velocity, controls, strength):
     rollout = DYNAMICS.rollout(position, velocity * DYNAMICS.velocity_limit, strength * controls)
     assert np.all(np.abs(rollout.positions) <= 1.0)
     assert np.all(np.abs(rollout.velocities) <= DYNAMICS.velocity_limit)
 
 
 @given(POSITION, RELATIVE_VELOCITY, CONTROLS)
-def test_no_step_is_longer_than_top_speed_allows(position, velocity, controls):
+def test_step_length_limited_by_top_speed(position, velocity, controls):
     rollout = DYNAMICS.rollout(position, velocity * DYNAMICS.velocity_limit, controls)
     start = np.broadcast_to(position, rollout.positions[:, :1].shape)
     way = np.diff(np.concatenate([start, rollout.positions], axis=1), axis=1)
@@ -66,8 +66,17 @@ def numeric_gradient(function, point, step=1e-6):
     return gradient
 
 
+def test_adjoint_by_hand():
+    """Per unit of control, the second position moves by 3 * 0.08 * 0.2 (first control) and 0.08 * 0.2 (second)."""
+    dynamics = DoubleIntegrator(0.2, np.array([0.8]), np.array([1.25]), np.array([0.12]))
+    rollout = dynamics.rollout(np.zeros(1), np.zeros(1), np.zeros((1, 2, 1)))
+    last = np.array([[[0.0], [1.0]]])
+    np.testing.assert_allclose(dynamics.backpropagate(rollout, last, np.zeros((1, 2, 1)))[0, :, 0], [0.048, 0.016])
+    np.testing.assert_allclose(dynamics.backpropagate(rollout, np.zeros((1, 2, 1)), last)[0, :, 0], [0.2, 0.2])
+
+
 @pytest.mark.parametrize("seed", range(8))
-def test_the_adjoint_is_the_gradient_of_the_rollout_also_where_limits_hold(seed):
+def test_adjoint_equals_finite_differences_of_rollout(seed):
     random = np.random.default_rng(seed)
     position, velocity = random.uniform(-1, 1, 3), random.uniform(-0.6, 0.6, 3)
     controls = random.uniform(-3, 3, (1, 10, 3))
@@ -81,7 +90,7 @@ def test_the_adjoint_is_the_gradient_of_the_rollout_also_where_limits_hold(seed)
     np.testing.assert_allclose(adjoint, numeric_gradient(weighted, controls), atol=1e-7)
 
 
-def test_the_barrier_by_hand():
+def test_barrier_by_hand():
     positions = np.array([[[0.95, 0.0, -1.0]]])
     velocities = np.array([[[0.0, 1.2, 0.0]]])
     assert BARRIER.cost(positions, velocities)[0] == pytest.approx(5 * (0.05**4 + 0.1**4 + 0.05**4))
@@ -92,7 +101,7 @@ def test_the_barrier_by_hand():
 
 @settings(max_examples=20)
 @given(st.sampled_from([1.0, 2.0, 4.0]), st.integers(0, 1000))
-def test_the_gradient_of_the_barrier_is_that_of_finite_differences(power, seed):
+def test_barrier_gradient_equals_finite_differences(power, seed):
     barrier = dataclasses.replace(BARRIER, power=power)
     positions, velocities = np.random.default_rng(seed).uniform(-1.3, 1.3, (2, 1, 2, 3))
     by_position, by_velocity = barrier.gradient(positions, velocities)

@@ -1,4 +1,4 @@
-"""The objective of a plan and its gradient, against a plain double-precision calculation of the same formula."""
+"""Planning objective and its gradient, against a plain double-precision implementation of the formula."""
 
 import dataclasses
 
@@ -8,10 +8,9 @@ from scipy.special import ndtr
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError
-from embodied_active_learning.exploration.barrier import Barrier
 from embodied_active_learning.exploration.controller import ErgodicController, Plan
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
-from embodied_active_learning.exploration.objective import ErgodicObjective
+from embodied_active_learning.exploration.objective import Barrier, ErgodicObjective
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 
 VARIANCE = 0.2  # wide enough that no sample of a short history is at the floor, where J has no gradient
@@ -44,13 +43,13 @@ def plain_cost(samples, target, config, normalise, positions, velocities):
 
 
 def start(seed):
-    """Position, velocity and controls of a plan that a limit stops somewhere, as plans at a border are."""
+    """Return position, velocity and controls of a plan that reaches a limit."""
     random = np.random.default_rng(seed)
     return random.uniform(-0.95, 0.95, 3), random.uniform(-0.6, 0.6, 3), random.uniform(-1, 1, (1, 10, 3))
 
 
 def numeric_gradient(measure, position, velocity, controls, step=1e-5):
-    """Derivative of plain_cost by each of the controls (1, H, D); measure: its first four arguments."""
+    """Return the derivative of plain_cost by each control (1, H, D); measure: its first four arguments."""
     dynamics = DoubleIntegrator.from_config(measure[2])
 
     def cost(plan):
@@ -66,7 +65,7 @@ def numeric_gradient(measure, position, velocity, controls, step=1e-5):
 
 
 @pytest.mark.parametrize("normalise", [False, True])
-def test_the_cost_of_each_plan_is_that_of_the_formula(normalise):
+def test_cost_equals_formula(normalise):
     objective, samples, target, config = make(normalise)
     dynamics = DoubleIntegrator.from_config(config)
     position, velocity, _ = start(0)
@@ -80,7 +79,7 @@ def test_the_cost_of_each_plan_is_that_of_the_formula(normalise):
 
 @pytest.mark.parametrize("normalise", [False, True])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_gradient_by_the_controls_is_that_of_finite_differences_of_the_formula(normalise, seed):
+def test_gradient_equals_finite_differences_of_formula(normalise, seed):
     objective, samples, target, config = make(normalise)
     dynamics = DoubleIntegrator.from_config(config)
     position, velocity, controls = start(seed)
@@ -90,19 +89,19 @@ def test_the_gradient_by_the_controls_is_that_of_finite_differences_of_the_formu
     np.testing.assert_allclose(gradient, numeric, atol=2e-4 * np.abs(numeric).max())
 
 
-def test_the_controller_updates_its_plan_by_that_gradient_over_the_control_weight():
+def test_control_update_is_scaled_gradient_over_weight():
     objective, samples, target, config = make(normalise=True)
     weight = 1e6  # so that no control comes to its limit
     planner = dataclasses.replace(config.planner, control_weight=weight, acceleration_limit=10.0)
     controller = ErgodicController(dataclasses.replace(config, planner=planner), 0)
     position, _, controls = start(0)
     rollout = controller.dynamics.rollout(position, np.zeros(3), controls)
-    update = controller._update(Plan(controls[0], rollout, 0.0), objective) - controls[0]
+    update = controller._updated_controls(Plan(controls[0], rollout, 0.0), objective) - controls[0]
     numeric = numeric_gradient((samples, target, config, True), position, np.zeros(3), controls)
     np.testing.assert_allclose(update, -objective.scale * numeric[0] / weight, rtol=1e-2, atol=1e-4 * np.ptp(update))
 
 
-def test_the_gradient_is_finite_before_any_state_was_visited():
+def test_gradient_finite_without_visited_states():
     objective, _, _, config = make(normalise=True, visited=0)
     rollout = DoubleIntegrator.from_config(config).rollout(np.ones(3), np.zeros(3), np.zeros((1, 10, 3)))
     assert all(np.all(np.isfinite(part)) for part in objective.gradient(rollout))
@@ -110,7 +109,7 @@ def test_the_gradient_is_finite_before_any_state_was_visited():
 
 
 @pytest.mark.parametrize("target", [np.ones(299), np.ones(1), np.full(300, np.nan)])
-def test_a_target_that_does_not_belong_to_the_samples_is_refused(target):
+def test_target_of_wrong_size_or_not_finite_rejected(target):
     _, samples, _, config = make(normalise=True)
     with pytest.raises(EmbodiedActiveLearningError, match="300 samples"):
         ErgodicObjective(target, samples, Barrier.from_config(config))

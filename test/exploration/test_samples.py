@@ -1,4 +1,4 @@
-"""Workspace samples: recursive sums equal to direct ones, refreshing, coverage k, resuming."""
+"""Workspace samples: time average, coverage k, refreshing, resuming."""
 
 import dataclasses
 
@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.exploration.coverage import workspace_coverage
-from embodied_active_learning.exploration.kernel import CoverageKernel
-from embodied_active_learning.exploration.samples import WorkspaceSamples
+from embodied_active_learning.exploration.kernel import CoverageKernel, workspace_coverage
+from embodied_active_learning.exploration.samples import History, WorkspaceSamples
 from embodied_active_learning.rng import Stream
 
 
@@ -35,24 +34,32 @@ def test_coverage_by_hand():
     assert workspace_coverage(samples, visited, 0.05) == pytest.approx((1 + np.exp(-0.25 / 0.1)) / 2, rel=1e-5)
 
 
-def test_nothing_is_covered_before_the_first_state():
+def test_time_average_by_hand():
+    """Kernels of states at distance 0 and 0.5, variance 0.05: 1 + exp(-2.5)."""
+    kernel = CoverageKernel(0.05)
+    history = History(kernel, 3, [np.zeros(3), np.array([0.5, 0.0, 0.0])])
+    total, largest = history.kernels(kernel.sample_features(np.zeros((1, 3))))
+    assert (total[0], largest[0]) == (pytest.approx(1.082085, rel=1e-5), pytest.approx(1.0))
+
+
+def test_coverage_zero_without_visited_states():
     assert workspace_coverage(states(10), np.empty((0, 3)), 0.05) == 0.0
     assert WorkspaceSamples(configuration()).coverage == 0.0
 
 
-def test_the_authors_coverage_counts_samples_outside_the_workspace_as_seen():
+def test_authors_coverage_counts_samples_outside_as_covered():
     samples, visited = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [1.1, 0.0, 0.0]]), np.array([[0.1, 0.0, 0.0]])
     near, far = np.exp(-0.01 / 0.1), np.exp(-0.25 / 0.1)
     assert workspace_coverage(samples, visited, 0.05, authors=True) == pytest.approx((1 + far / near + 1) / 3, rel=1e-5)
 
 
-def test_the_authors_coverage_of_an_unvisited_workspace_is_finite():
+def test_authors_coverage_zero_without_visited_states():
     assert workspace_coverage(states(10), np.empty((0, 3)), 0.05, authors=True) == 0.0
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 600), st.integers(0, 30), st.booleans(), st.sampled_from([0, 7, 20, 200]))
-def test_recursive_sums_equal_direct_ones(before, steps, normalise, fresh):
+def test_recursive_sums_equal_direct_sums(before, steps, normalise, fresh):
     config = configuration(normalise, fresh_samples=fresh)
     samples = WorkspaceSamples(config, states(before))
     for state in states(steps, seed=1):
@@ -66,7 +73,7 @@ def test_recursive_sums_equal_direct_ones(before, steps, normalise, fresh):
     )
 
 
-def test_all_samples_are_new_after_samples_over_fresh_steps():
+def test_refresh_replaces_all_samples_in_turn():
     samples = WorkspaceSamples(configuration(fresh_samples=30))
     first = samples.states
     for _ in range(6):
@@ -83,7 +90,7 @@ def test_samples_fill_the_box_and_no_more(box):
     assert np.all(np.abs(drawn).max(axis=0) > 0.99 * box)
 
 
-def test_resuming_with_the_visited_states_goes_on_where_the_run_stopped():
+def test_samples_resumed_from_visited_states():
     config = configuration(fresh_samples=0)
     run = WorkspaceSamples(config)
     for state in states(1500):
@@ -93,7 +100,7 @@ def test_resuming_with_the_visited_states_goes_on_where_the_run_stopped():
     np.testing.assert_allclose(resumed.visitation, run.visitation, rtol=1e-5)
 
 
-def test_planned_states_count_as_if_they_had_been_visited():
+def test_visitation_with_planned_states_equals_later_visits():
     samples, planned = WorkspaceSamples(configuration(), states(50)), states(10, seed=1)
     expected = samples.visitation_with(planned)
     for state in planned:
@@ -101,7 +108,7 @@ def test_planned_states_count_as_if_they_had_been_visited():
     np.testing.assert_allclose(samples.visitation, expected, rtol=1e-5)
 
 
-def test_one_seed_gives_one_set_of_samples_and_streams_differ():
+def test_samples_depend_on_seed_and_stream():
     drawn = [WorkspaceSamples(configuration(seed=3)).states for _ in range(2)]
     np.testing.assert_array_equal(*drawn)
     assert not np.any(WorkspaceSamples(configuration(seed=4)).states == drawn[0])
@@ -109,7 +116,7 @@ def test_one_seed_gives_one_set_of_samples_and_streams_differ():
 
 
 @pytest.mark.parametrize("state", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0], [[0, 0, 0]]])
-def test_a_state_that_is_not_three_finite_numbers_is_refused_and_changes_nothing(state):
+def test_malformed_visit_rejected_without_change(state):
     samples = WorkspaceSamples(configuration(), states(5))
     before = samples.visitation
     with pytest.raises(ObservationError, match="3 finite numbers"):
@@ -118,6 +125,6 @@ def test_a_state_that_is_not_three_finite_numbers_is_refused_and_changes_nothing
     assert len(samples.visited) == 5
 
 
-def test_the_configured_variance_replaces_the_rule():
+def test_configured_variance_replaces_authors_rule():
     assert WorkspaceSamples(configuration(kernel_variance=0.1)).kernel.variance == 0.1
     assert WorkspaceSamples(configuration(samples=1000)).kernel.variance == pytest.approx(0.057588, abs=1e-6)

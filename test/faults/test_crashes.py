@@ -1,13 +1,13 @@
-"""A run whose nodes are killed, interrupted and started again at random ends as if nothing had happened to it."""
+"""A run whose nodes are killed, interrupted and restarted at random has the same result as an undisturbed run."""
 
 from concurrent.futures import ThreadPoolExecutor
 
 from crashing import EVERYTHING, INTERRUPTION, crash, learn_arguments, outcome
 from launching import launch_to_the_end
 
-# What a run depends on. experiments/crashes.py kills monitor and fingerprinter, too, and as often as it is asked to.
+# Nodes that a run depends on. experiments/crashes.py also kills monitor and fingerprinter, and more often.
 VICTIMS = {"ergodic_planner", "trainer", "pybullet_arm", EVERYTHING, INTERRUPTION}
-SEED = 126  # draws these first
+SEED = 126  # draws these victims first
 
 
 def _undisturbed(home):
@@ -16,7 +16,7 @@ def _undisturbed(home):
     return outcome(home / "run")
 
 
-def test_a_run_that_is_killed_again_and_again_ends_like_one_that_was_left_alone(tmp_path):
+def test_run_with_killed_nodes_equals_undisturbed_run(tmp_path):
     with ThreadPoolExecutor(1) as beside:
         undisturbed = beside.submit(_undisturbed, tmp_path / "undisturbed")
         crashes = crash(tmp_path, tmp_path / "run", learn_arguments(tmp_path), len(VICTIMS), seed=SEED, timeout=500)

@@ -1,4 +1,4 @@
-"""The exploring half of Algorithm 1: what it counts, when it aims, and that it goes on where it stopped."""
+"""Exploration run: metrics, target, exact resume."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def configured(explorer="ergodic", **exploration):
 
 
 def drive(run, config, steps, log_std=None):
-    """Let an arm that does exactly as told follow the run's commands -> the assessments."""
+    """Let an exact arm execute the run's commands; return the assessments."""
     state = np.array(config.simulation.start)
     velocity = np.zeros(3)
     assessments = []
@@ -26,13 +26,13 @@ def drive(run, config, steps, log_std=None):
             velocity = command.velocity
             state = state + command.duration * velocity
         else:
-            state, velocity = np.array([command.x, command.y, command.theta]), np.zeros(3)
+            state, velocity = command.state, np.zeros(3)
         assert config.workspace.box().contains(state, tolerance=1e-9)
     return assessments
 
 
 @pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic"])
-def test_every_explorer_covers_more_of_the_workspace_as_it_goes(explorer):
+def test_explorers_increase_coverage(explorer):
     config = configured(explorer)
     assessments = drive(ExplorationRun(config), config, 60)
     assert assessments[-1].step == 60
@@ -42,7 +42,7 @@ def test_every_explorer_covers_more_of_the_workspace_as_it_goes(explorer):
     assert assessments[-1].turning > 0.1
 
 
-def test_distance_and_turning_add_up_what_the_states_tell():
+def test_distance_and_turning_sum_state_changes():
     config = configured()
     run = ExplorationRun(config)
     for state in ([0.4, 0.0, 0.0], [0.43, 0.04, -0.5], [0.43, 0.04, 0.5]):
@@ -52,7 +52,7 @@ def test_distance_and_turning_add_up_what_the_states_tell():
     assert assessment.turning == pytest.approx(1.5)
 
 
-def test_effort_is_the_integral_of_the_squared_normalised_acceleration():
+def test_effort_integrates_squared_acceleration():
     config = configured()
     run = ExplorationRun(config)
     run.observe(np.array(config.simulation.start), np.zeros(3))
@@ -63,14 +63,14 @@ def test_effort_is_the_integral_of_the_squared_normalised_acceleration():
     assert run.assess(None).effort == pytest.approx(expected)
 
 
-def test_poses_without_a_velocity_have_no_effort_to_report():
+def test_effort_nan_for_pose_commands():
     config = configured("uniform")
     run = ExplorationRun(config)
     assert np.isnan(drive(run, config, 3)[-1].effort)
     assert isinstance(run.next_command(), PoseCommand)
 
 
-def test_the_target_is_flat_until_something_was_learned_and_peaks_where_the_model_is_uncertain():
+def test_target_flat_at_first_then_peaks_at_uncertainty():
     config = configured()
     run = ExplorationRun(config)
     run.observe(np.array(config.simulation.start), np.zeros(3))
@@ -82,7 +82,7 @@ def test_the_target_is_flat_until_something_was_learned_and_peaks_where_the_mode
     assert target.sum() == pytest.approx(1.0)
 
 
-def test_a_model_that_has_diverged_is_refused():
+def test_diverged_model_rejected():
     config = configured()
     run = ExplorationRun(config)
     run.observe(np.array(config.simulation.start), np.zeros(3))
@@ -90,7 +90,7 @@ def test_a_model_that_has_diverged_is_refused():
         run.assess(np.full(200, np.nan))
 
 
-def test_a_run_that_goes_on_has_the_same_coverage_distance_and_measure_as_one_that_never_stopped():
+def test_run_resumed_from_trajectory_continues_metrics():
     config = configured("random_walk")
     whole = ExplorationRun(config)
     last = drive(whole, config, 30)[-1]
@@ -106,7 +106,7 @@ def test_a_run_that_goes_on_has_the_same_coverage_distance_and_measure_as_one_th
 
 
 @pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic"])
-def test_a_run_that_recalls_its_memory_goes_on_bit_for_bit(explorer):
+def test_run_with_loaded_state_is_bit_identical(explorer):
     config = configured(explorer)
     whole = ExplorationRun(config)
     state, velocity, command = np.array(config.simulation.start), np.zeros(3), None
@@ -114,7 +114,7 @@ def test_a_run_that_recalls_its_memory_goes_on_bit_for_bit(explorer):
     for step in range(40):
         if step == 25:
             resumed = ExplorationRun(config, whole.travelled_states)
-            resumed.recall(whole.memory())
+            resumed.load_state_dict(whole.state_dict())
         runs = [whole] if resumed is None else [whole, resumed]
         for run in runs:
             run.observe(state, velocity)
@@ -127,29 +127,29 @@ def test_a_run_that_recalls_its_memory_goes_on_bit_for_bit(explorer):
         if isinstance(command, VelocityCommand):
             state, velocity = state + command.duration * command.velocity, command.velocity
         else:
-            state, velocity = np.array([command.x, command.y, command.theta]), np.zeros(3)
+            state, velocity = command.state, np.zeros(3)
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda memory: memory.pop("samples/states"), "lacks states"),
-        (lambda memory: memory.update({"explorer/controls": np.zeros((3, 3))}), "holds controls as"),
-        (lambda memory: memory.update({"sums": np.zeros(3, np.float32)}), "holds sums as float32"),
-        (lambda memory: memory.update(step=np.array([4])), "is of step 4, the trajectory of step 5"),
+        (lambda state: state.pop("samples/states"), "no array 'states'"),
+        (lambda state: state.update({"explorer/controls": np.zeros((3, 3))}), "array 'controls' is"),
+        (lambda state: state.update({"sums": np.zeros(3, np.float32)}), "array 'sums' is float32"),
+        (lambda state: state.update(step=np.array([4])), "of step 4, the stored trajectory of step 5"),
     ],
 )
-def test_a_memory_that_does_not_fit_is_refused_by_name(change, words):
+def test_state_dict_that_does_not_fit_rejected_by_name(change, words):
     config = configured()
     run = ExplorationRun(config)
     drive(run, config, 5)
-    memory = run.memory()
-    change(memory)
+    state = run.state_dict()
+    change(state)
     with pytest.raises(CorruptFileError, match=words):
-        ExplorationRun(config, run.travelled_states).recall(memory)
+        ExplorationRun(config, run.travelled_states).load_state_dict(state)
 
 
-def test_after_an_interruption_the_plan_starts_from_rest():
+def test_plan_after_interruption_starts_at_rest():
     config = configured()
     run = ExplorationRun(config)
     drive(run, config, 20)

@@ -43,7 +43,7 @@ def first(tmp_path_factory):
     return home / "run", output
 
 
-def test_a_run_ends_by_itself_with_figures_and_a_summary(first):
+def test_run_ends_with_figures_and_summary(first):
     path, output = first
     assert finished(path), output
     assert "active units" in output
@@ -62,7 +62,7 @@ def recorded(path):
     return recording
 
 
-def test_what_was_recorded_of_a_run_is_what_it_has_learned_from(first):
+def test_recording_equals_stored_observations(first):
     path, _ = first
     recording, config = recorded(path), Session.open_read_only(path).config
     assert recording.settings()["training"] == config.to_dict()["training"]
@@ -72,7 +72,7 @@ def test_what_was_recorded_of_a_run_is_what_it_has_learned_from(first):
     assert topics >= {"/target_distribution", "/training_status", "/diagnostics"}
 
 
-def test_a_finished_session_is_not_overwritten(first, tmp_path):
+def test_finished_session_not_overwritten(first, tmp_path):
     path, _ = first
     before = {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")}
     output = launch_to_the_end(tmp_path, *arguments(path.parent))
@@ -91,14 +91,14 @@ def test_a_finished_session_is_not_overwritten(first, tmp_path):
         ({"session": "nothing-there", "resume": "true"}, "there is no session"),
     ],
 )
-def test_what_cannot_work_is_refused_before_any_node_starts(overrides, expected, tmp_path):
+def test_invalid_arguments_refused_before_nodes_start(overrides, expected, tmp_path):
     output = launch_to_the_end(tmp_path, *arguments(tmp_path, **overrides), timeout=60)
     assert "nothing was started" in output
     assert expected in output
     assert "process[" not in output
 
 
-def test_a_run_whose_trainer_was_killed_ends_and_has_not_finished(tmp_path):
+def test_run_with_killed_trainer_ends_unfinished(tmp_path):
     path = tmp_path / "run"
     with launched(tmp_path, *arguments(tmp_path, steps=80)) as process:
         wait_for(lambda: (path / "training.csv").exists() and len((path / "training.csv").read_text()) > 1500, process)
@@ -109,7 +109,7 @@ def test_a_run_whose_trainer_was_killed_ends_and_has_not_finished(tmp_path):
     assert 8 < stored < 80
 
 
-def test_two_systems_run_in_namespaces_under_one_master(tmp_path):
+def test_two_namespaces_under_one_master(tmp_path):
     variables = environment(tmp_path)
     port = variables["ROS_MASTER_URI"].rsplit(":", 1)[1]
     with started(["roscore", "-p", port], tmp_path / "core.log", variables):

@@ -1,4 +1,4 @@
-"""Messages to arrays and back, without a master."""
+"""Conversion between messages and arrays, without a master."""
 
 from io import BytesIO
 
@@ -21,26 +21,26 @@ def picture(height=4, width=6):
     return np.arange(height * width * 3, dtype=np.uint8).reshape(height, width, 3)
 
 
-def test_an_image_survives_the_way_through_a_message():
+def test_image_round_trip():
     message = conversions.image_message(STAMP, picture())
     np.testing.assert_array_equal(conversions.image_array(message, 4, 6), picture())
     assert message.header.stamp == STAMP
 
 
-def test_blue_first_images_are_turned_around():
+def test_bgr8_image_converted_to_rgb():
     message = conversions.image_message(STAMP, picture())
     message.encoding = "bgr8"
     np.testing.assert_array_equal(conversions.image_array(message, 4, 6), picture()[..., ::-1])
 
 
-def test_rows_may_be_padded():
+def test_image_with_padded_rows():
     message = conversions.image_message(STAMP, picture())
     message.data = b"".join(row.tobytes() + b"##" for row in picture())
     message.step += 2
     np.testing.assert_array_equal(conversions.image_array(message, 4, 6), picture())
 
 
-def test_each_joint_keeps_its_position_and_its_velocity():
+def test_joint_state_keeps_position_and_velocity():
     message = conversions.joint_state_message(STAMP, {"elbow": 0.5, "wrist": -1.0}, {"wrist": 0.2, "elbow": 0.1})
     assert message.header.stamp == STAMP
     assert list(zip(message.name, message.position, message.velocity)) == [("elbow", 0.5, 0.1), ("wrist", -1.0, 0.2)]
@@ -55,7 +55,7 @@ def test_each_joint_keeps_its_position_and_its_velocity():
         ({"step": 7}, "rows of 7"),
     ],
 )
-def test_an_image_that_does_not_fit_is_refused_with_what_was_found_and_expected(change, expected):
+def test_image_that_does_not_fit_rejected(change, expected):
     message = conversions.image_message(STAMP, picture())
     for name, value in change.items():
         setattr(message, name, value)
@@ -65,7 +65,7 @@ def test_an_image_that_does_not_fit_is_refused_with_what_was_found_and_expected(
 
 
 @given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
-def test_a_state_survives_the_way_through_a_message(values):
+def test_state_round_trip(values):
     message = conversions.state_message(STAMP, values[:3], values[3:])
     state, velocity = conversions.state_arrays(message)
     assert state.tolist() == values[:3]
@@ -74,26 +74,26 @@ def test_a_state_survives_the_way_through_a_message(values):
 
 
 @pytest.mark.parametrize("values", [[1.0], [0.0, 1.0, float("nan")], [0.0, 1.0, float("inf")]])
-def test_states_that_are_no_rows_of_numbers_are_refused(values):
+def test_malformed_states_rejected(values):
     with pytest.raises(ObservationError):
         conversions.states_array(values)
 
 
-def test_a_cloud_holds_its_points_and_values():
+def test_cloud_contains_points_and_values():
     points, values = np.random.default_rng(0).random((5, 3)), np.arange(5.0)
     cloud = conversions.cloud_message(STAMP, points, values)
     read = np.array(list(point_cloud2.read_points(cloud, ("x", "y", "z", "intensity"))))
     np.testing.assert_allclose(read, np.column_stack([points, values]), rtol=1e-6)
 
 
-def test_a_path_holds_its_states_and_headings():
+def test_path_contains_positions_and_headings():
     path = conversions.path_message(STAMP, np.array([[0.4, 0.1, np.pi / 2]]), 0.3)
     pose = path.poses[0].pose
     assert (pose.position.x, pose.position.y, pose.position.z) == (0.4, 0.1, 0.3)
     assert pose.orientation.z == pytest.approx(np.sqrt(0.5))
 
 
-def test_a_grid_has_x_along_its_width_and_its_corner_half_a_cell_before_the_first_middle():
+def test_grid_layout_and_origin():
     values = np.array([[0.0, 0.2], [0.5, 1.0], [0.004, 0.996]])
     grid = conversions.occupancy_grid_message(STAMP, values, 0.35, -0.1, 0.1)
     assert (grid.info.width, grid.info.height, grid.info.resolution) == (3, 2, 0.1)
@@ -105,17 +105,17 @@ def test_a_grid_has_x_along_its_width_and_its_corner_half_a_cell_before_the_firs
 
 
 @given(st.floats(-1.0, 2.0))
-def test_a_grid_that_can_be_sent_holds_nothing_beyond_0_and_100(value):
+def test_grid_values_clipped_to_0_and_100(value):
     grid = conversions.occupancy_grid_message(STAMP, np.full((1, 1), value), 0.0, 0.0, 0.1)
     assert grid.data == [round(100.0 * min(max(value, 0.0), 1.0))]
     grid.serialize(BytesIO())
 
 
-def test_the_workspace_is_drawn_as_twelve_edges():
+def test_workspace_marker_has_twelve_edges():
     assert len(conversions.workspace_marker(Workspace(), 0.3).points) == 24
 
 
-def test_the_state_between_two_states_is_interpolated_and_yaw_takes_the_short_way():
+def test_state_interpolation_takes_shorter_rotation():
     before = conversions.state_message(rospy.Time(1), [0.4, 0.0, 3.0], [0, 0, 0])
     after = conversions.state_message(rospy.Time(2), [0.5, 0.1, -3.0], [1, 0, 0])
     state, velocity = conversions.state_arrays(interpolate(before, after, rospy.Time(1, 500000000)))

@@ -1,4 +1,4 @@
-"""The arm as a double integrator for each axis, held inside the workspace."""
+"""Arm dynamics for planning: one double integrator per axis, limited to the workspace (Paper, Appendix, Control)."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from embodied_active_learning.config import Config
 
 @dataclass(frozen=True)
 class Rollout:
-    """Predicted motion of B plans over H steps, and which limits cut it."""
+    """Predicted motion of B plans over H steps, and where limits were active."""
 
     positions: np.ndarray  # (B, H, D), normalised, after each step
     velocities: np.ndarray  # (B, H, D), velocity units, after each step
-    position_free: np.ndarray  # (B, H, D) bool: the border did not stop the axis
-    velocity_free: np.ndarray  # (B, H, D) bool: the velocity limit did not cut the control
+    position_free: np.ndarray  # (B, H, D) bool: position not clamped at the border
+    velocity_free: np.ndarray  # (B, H, D) bool: velocity not clamped at its limit
 
     def select(self, plan: int) -> Rollout:
-        """One of the plans, still with a leading axis of 1."""
+        """Return one of the plans, with a leading axis of length 1."""
         one = slice(plan, plan + 1)
         return Rollout(self.positions[one], self.velocities[one], self.position_free[one], self.velocity_free[one])
 
 
 @dataclass(frozen=True)
 class DoubleIntegrator:
-    """position' = gain * velocity, velocity' = control, integrated exactly with the control held over each step.
+    """x' = gain * v, v' = u for each axis; integrated exactly with the control u constant over a step.
 
-    Positions are normalised. Velocities are in the controller's units, in which velocity_limit is the arm's top speed;
-    so gain is (top speed / velocity limit) / workspace scale, per axis: 0.8, 0.8, 1.2 by default. The authors have 0.8
-    for all, right only for their simulated x and y (docs/method.md, section 5).
+    With step dt: v+ = v + dt u, x+ = x + dt gain (v + v+) / 2. Positions are normalised. Velocities are in controller
+    units, in which `velocity_limit` is the arm's top speed, so gain = (top speed / velocity limit) / workspace scale:
+    0.8, 0.8, 1.2 by default. The authors use 0.8 for every axis, which matches only their simulated x and y.
     """
 
     step: float  # s
@@ -40,48 +40,68 @@ class DoubleIntegrator:
 
     @classmethod
     def from_config(cls, config: Config) -> DoubleIntegrator:
-        """The model of the configured arm, workspace and step."""
+        """Return the dynamics of the configured arm, workspace and step duration."""
         limit = np.asarray(config.planner.velocity_limits)
         top_speed = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
         speed_unit = top_speed / limit
         return cls(config.exploration.step_duration, speed_unit / config.workspace.box().scale, limit, speed_unit)
 
     def to_si(self, velocity: np.ndarray) -> np.ndarray:
-        """Velocity units (..., D) -> m/s, m/s, rad/s."""
+        """Convert velocity units (..., D) to m/s, m/s, rad/s."""
         return velocity * self.speed_unit
 
     def from_si(self, velocity: np.ndarray) -> np.ndarray:
-        """m/s, m/s, rad/s (..., D) -> velocity units."""
+        """Convert m/s, m/s, rad/s (..., D) to velocity units."""
         return np.asarray(velocity, dtype=np.float64) / self.speed_unit
 
     def rollout(self, position: np.ndarray, velocity: np.ndarray, controls: np.ndarray) -> Rollout:
-        """Predict plans. position, velocity: (D,) now, controls: (B, H, D).
+        """Predict the motion of B plans.
 
-        Velocity stops at its limit; at the border position stops and outward velocity becomes zero.
+        The velocity is clamped to its limit and the position to the border, where outward velocity becomes zero.
+
+        Args:
+            position: (D,) current state, normalised.
+            velocity: (D,) current velocity, velocity units.
+            controls: (B, H, D) velocity units per second.
         """
         limit, half_step = self.velocity_limit, 0.5 * self.step * self.gain
-        positions, velocities, unbounded, wanted = (np.empty(controls.shape) for _ in range(4))
+        positions, velocities, unclamped, desired = (np.empty(controls.shape) for _ in range(4))
         for t in range(controls.shape[1]):
-            wanted[:, t] = velocity + self.step * controls[:, t]
-            reached = np.minimum(np.maximum(wanted[:, t], -limit), limit)
-            unbounded[:, t] = position + half_step * (velocity + reached)
-            position = positions[:, t] = np.minimum(np.maximum(unbounded[:, t], -1.0), 1.0)
-            outward = (position != unbounded[:, t]) & (reached * position > 0.0)
+            desired[:, t] = velocity + self.step * controls[:, t]
+            reached = np.minimum(np.maximum(desired[:, t], -limit), limit)
+            unclamped[:, t] = position + half_step * (velocity + reached)
+            position = positions[:, t] = np.minimum(np.maximum(unclamped[:, t], -1.0), 1.0)
+            outward = (position != unclamped[:, t]) & (reached * position > 0.0)
             velocity = velocities[:, t] = np.where(outward, 0.0, reached)
-        return Rollout(positions, velocities, positions == unbounded, np.abs(wanted) <= limit)
+        return Rollout(positions, velocities, positions == unclamped, np.abs(desired) <= limit)
 
     def backpropagate(
         self, rollout: Rollout, position_gradient: np.ndarray, velocity_gradient: np.ndarray
     ) -> np.ndarray:
-        """Gradients by predicted states -> gradient by controls, the adjoint of rollout. (B, H, D) each."""
+        """Return the gradient of a cost by the controls: the adjoint of `rollout`.
+
+        Where no limit is active, backwards from a = b = 0 at the horizon:
+            a_t = a_{t+1} + dJ/dx_t
+            w_t = b_{t+1} + dJ/dv_t + dt gain a_t / 2
+            b_t = w_t + dt gain a_t / 2
+            dJ/du_t = dt w_t
+
+        Args:
+            rollout: the predicted motion.
+            position_gradient: (B, H, D) partial derivatives by each predicted position.
+            velocity_gradient: (B, H, D) partial derivatives by each predicted velocity.
+
+        Returns:
+            (B, H, D) total derivatives by each control.
+        """
         half_step = 0.5 * self.step * self.gain
         stopped = ~rollout.position_free & (rollout.velocities == 0.0)
-        to_position = to_velocity = np.zeros_like(position_gradient[:, 0])
+        adjoint_position = adjoint_velocity = np.zeros_like(position_gradient[:, 0])
         gradient = np.empty_like(position_gradient)
         for t in reversed(range(gradient.shape[1])):
-            at_position = (to_position + position_gradient[:, t]) * rollout.position_free[:, t]
-            at_velocity = (to_velocity + velocity_gradient[:, t]) * ~stopped[:, t]
-            wanted = (at_velocity + half_step * at_position) * rollout.velocity_free[:, t]
-            gradient[:, t] = self.step * wanted
-            to_position, to_velocity = at_position, wanted + half_step * at_position
+            adjoint_position = (adjoint_position + position_gradient[:, t]) * rollout.position_free[:, t]
+            at_velocity = (adjoint_velocity + velocity_gradient[:, t]) * ~stopped[:, t]
+            at_desired = (at_velocity + half_step * adjoint_position) * rollout.velocity_free[:, t]
+            gradient[:, t] = self.step * at_desired
+            adjoint_velocity = at_desired + half_step * adjoint_position
         return gradient

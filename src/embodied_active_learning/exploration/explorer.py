@@ -1,4 +1,4 @@
-"""What every way of exploring can be asked."""
+"""The interface of explorers. Register an implementation in `embodied_active_learning.registry.EXPLORERS`."""
 
 from __future__ import annotations
 
@@ -8,40 +8,46 @@ from typing import Mapping, Optional
 import numpy as np
 
 from embodied_active_learning.exploration.commands import Command
-from embodied_active_learning.exploration.memory import Memory
 from embodied_active_learning.exploration.samples import WorkspaceSamples
+from embodied_active_learning.state_dict import StateDict
 
 
 class Explorer(ABC):
-    """Decides the next motion. Each step: observe() where the arm is, then next_command().
+    """Chooses the next motion. In each step, `observe` the reached state, then ask for `next_command`.
 
-    All are compared by one measure taken outside: kl_ergodic(target, samples.visitation) over the visited states.
+    Explorers are compared by the KL-ergodic measure of the states they visit, which is computed outside of them.
     """
 
     @abstractmethod
     def observe(self, position: np.ndarray, measured_velocity: Optional[np.ndarray] = None) -> None:
-        """Say where the arm is. position: (D,) normalised; measured_velocity: (D,) m/s, m/s, rad/s, None if unknown."""
+        """Report where the arm is.
+
+        Args:
+            position: (D,) normalised state.
+            measured_velocity: (D,) [m/s, m/s, rad/s]; None if unknown.
+        """
 
     @abstractmethod
     def next_command(self, target: np.ndarray, samples: WorkspaceSamples) -> Command:
-        """The next motion for a target distribution (S,) over the samples, in SI units."""
+        """Return the next motion for a target distribution (S,) over the workspace samples."""
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget what was under way: the arm was stopped."""
+        """Discard plan and velocity after the arm was stopped from outside."""
 
     @abstractmethod
-    def memory(self) -> Memory:
-        """Copies of everything that decides what it does next."""
+    def state_dict(self) -> StateDict:
+        """Return copies of everything that determines the next commands."""
 
     @abstractmethod
-    def recall(self, memory: Mapping[str, np.ndarray]) -> None:
-        """Go on as the one did whose memory this is.
+    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue exactly like the explorer that returned this state.
 
-        Raises CorruptFileError when it does not fit; then nothing is changed.
+        Raises:
+            CorruptFileError: the state does not fit; the explorer is unchanged.
         """
 
     @property
     @abstractmethod
     def planned_states(self) -> np.ndarray:
-        """(H, D) normalised states that the last command begins; (0, D) when there is no plan."""
+        """Normalised states (H, D) predicted for the last command and its continuation; (0, D) without a plan."""

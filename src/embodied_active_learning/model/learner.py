@@ -10,8 +10,7 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
-from embodied_active_learning.exploration.coverage import workspace_coverage
-from embodied_active_learning.exploration.kernel import CoverageKernel
+from embodied_active_learning.exploration.kernel import CoverageKernel, workspace_coverage
 from embodied_active_learning.model import checkpoint
 from embodied_active_learning.model.batches import BatchReader, Observations
 from embodied_active_learning.model.build import (

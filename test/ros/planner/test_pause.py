@@ -1,4 +1,4 @@
-"""Holding back a planner while another node drives the arm, also when that node is killed meanwhile."""
+"""Pausing the planner while another node commands the arm, also if that node is killed."""
 
 import pytest
 from std_srvs.srv import TriggerResponse
@@ -10,20 +10,20 @@ from embodied_active_learning.ros.planner.pause import PlannerPause
 
 
 class Planner:
-    """Answers as a planner does, unless it is not there; what was kept outlives whoever paused it."""
+    """A planner's pause and resume services, and a parameter that survives the node that pauses it."""
 
     def __init__(self):
-        self.is_there = True
+        self.exists = True
         self.is_paused = False
-        self.silent_for = 0  # calls
-        self.kept = None
+        self.failing_calls = 0
+        self.stored = None
 
     def trigger(self, name):
-        if not self.is_there:
+        if not self.exists:
             return None
-        if self.silent_for:
-            self.silent_for -= 1
-            raise EmbodiedActiveLearningError(f"{name} did not answer")
+        if self.failing_calls:
+            self.failing_calls -= 1
+            raise EmbodiedActiveLearningError(f"{name} did not respond")
         before, self.is_paused = self.is_paused, name == names.PLANNER_PAUSE
         return TriggerResponse(before != self.is_paused, "")
 
@@ -32,13 +32,13 @@ class Planner:
 def planner(monkeypatch):
     planner = Planner()
     monkeypatch.setattr(pause, "trigger_if_advertised", planner.trigger)
-    monkeypatch.setattr(pause, "is_advertised", lambda name: planner.is_there)
-    monkeypatch.setattr(pause.persistent_parameters, "load", lambda name: planner.kept() if planner.kept else "")
-    monkeypatch.setattr(pause.persistent_parameters, "store", lambda name, text: setattr(planner, "kept", text))
+    monkeypatch.setattr(pause, "is_advertised", lambda name: planner.exists)
+    monkeypatch.setattr(pause.persistent_parameters, "load", lambda name: planner.stored() if planner.stored else "")
+    monkeypatch.setattr(pause.persistent_parameters, "store", lambda name, text: setattr(planner, "stored", text))
     return planner
 
 
-def test_a_planner_is_paused_for_the_time_of_a_block_and_no_longer_whatever_happens_in_it(planner):
+def test_planner_paused_during_block_only(planner):
     def fail():
         with PlannerPause().held():
             assert planner.is_paused
@@ -47,37 +47,37 @@ def test_a_planner_is_paused_for_the_time_of_a_block_and_no_longer_whatever_happ
     with pytest.raises(KeyError):
         fail()
     assert not planner.is_paused
-    assert planner.kept() == ""
+    assert planner.stored() == ""
 
 
-def test_a_planner_that_somebody_else_has_paused_stays_so(planner):
+def test_planner_paused_before_stays_paused(planner):
     planner.is_paused = True
     with PlannerPause().held():
         pass
     assert planner.is_paused
 
 
-def test_where_there_is_no_planner_there_is_nothing_to_pause(planner):
-    planner.is_there = False
+def test_pause_without_planner_does_nothing(planner):
+    planner.exists = False
     with PlannerPause().held():
-        assert planner.kept() == ""
+        assert planner.stored() == ""
 
 
-def test_a_planner_that_answers_late_goes_on(planner):
+def test_resume_retried_if_planner_does_not_respond(planner):
     with PlannerPause().held():
-        planner.silent_for = 2
+        planner.failing_calls = 2
     assert not planner.is_paused
 
 
-def test_a_planner_whose_pause_was_never_ended_goes_on_when_the_node_is_started_again(planner):
+def test_restarted_node_ends_pause_of_its_predecessor(planner):
     killed = PlannerPause().held()
     killed.__enter__()
     PlannerPause().resume_if_left()
     assert not planner.is_paused
-    assert planner.kept() == ""
+    assert planner.stored() == ""
 
 
-def test_a_node_that_is_started_again_leaves_other_pauses_alone(planner):
+def test_restarted_node_keeps_pause_of_others(planner):
     with PlannerPause().held():
         pass
     planner.is_paused = True

@@ -1,4 +1,4 @@
-"""Holding back a planner, if there is one, while another node drives the arm."""
+"""Pausing the planner, if there is one, while another node commands the arm."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.node import wait_until
 from embodied_active_learning.ros.runtime.services import is_advertised, trigger_if_advertised
 
-_RESUME_TRIES = 3
+_RESUME_ATTEMPTS = 3
 _PAUSED = "paused"
 
 
 class PlannerPause:
-    """Pauses the planner for the time of a block, and lets it go on also when this node is killed meanwhile."""
+    """Pauses the planner during a block; a restarted node ends the pause of its predecessor."""
 
     def __init__(self) -> None:
         self._left_paused = bool(persistent_parameters.load(names.HAS_PAUSED_PLANNER))
@@ -26,7 +26,7 @@ class PlannerPause:
         persistent_parameters.store(names.HAS_PAUSED_PLANNER, lambda: _PAUSED if self._has_paused else "")
 
     def resume_if_left(self) -> None:
-        """Let a planner go on that this node had paused when it was killed. Raises ShutdownRequestedError."""
+        """Resume a planner that this node had paused when it was killed. Raises ShutdownRequestedError."""
         if self._left_paused:
             wait_until(lambda: is_advertised(names.PLANNER_RESUME), lambda: rospy.resolve_name(names.PLANNER_RESUME))
             self._resume()
@@ -34,12 +34,13 @@ class PlannerPause:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """The time in which a planner is paused; one that was paused by somebody else stays so.
+        """Pause the planner during the block; one that was paused before stays paused afterwards.
 
-        Raises EmbodiedActiveLearningError when a planner that is there does not answer.
+        Raises:
+            EmbodiedActiveLearningError: there is a planner, but it does not respond.
         """
-        answer = trigger_if_advertised(names.PLANNER_PAUSE)
-        self._has_paused = self._has_paused or (answer is not None and answer.success)
+        response = trigger_if_advertised(names.PLANNER_PAUSE)
+        self._has_paused = self._has_paused or (response is not None and response.success)
         try:
             yield
         finally:
@@ -47,12 +48,12 @@ class PlannerPause:
                 self._resume()
 
     def _resume(self) -> None:
-        for _ in range(_RESUME_TRIES):
+        for _ in range(_RESUME_ATTEMPTS):
             try:
                 trigger_if_advertised(names.PLANNER_RESUME)
                 self._has_paused = False
                 return
             except EmbodiedActiveLearningError as error:
-                rospy.logwarn("%s", error)
+                rospy.logwarn("cannot resume the planner: %s", error)
         name = rospy.resolve_name(names.PLANNER_RESUME)
-        rospy.logerr("the planner is still paused and does not answer: call %s", name)
+        rospy.logerr("the planner is still paused: %s does not respond; call it again", name)

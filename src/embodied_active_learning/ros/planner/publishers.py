@@ -1,10 +1,11 @@
-"""What the planner tells the world about each step: messages, pictures for rviz, and a row of exploration.csv."""
+"""Output of each exploration step: messages, rviz displays and a row of exploration.csv."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Dict
 
+import numpy as np
 import rospy
 
 from embodied_active_learning.config import Config
@@ -19,27 +20,32 @@ TABLE = "exploration"
 
 
 class ExplorationPublisher:
-    """Publishes and records the steps of one run."""
+    """Publishes and records the steps of a run."""
 
     def __init__(self, config: Config, session: Path, steps_done: int) -> None:
-        """Go on behind the row of step steps_done in the session's table."""
+        """Open the session's table, and remove rows after step `steps_done`."""
         self._publisher = rospy.Publisher(names.TARGET_DISTRIBUTION, TargetDistribution, queue_size=10, latch=True)
-        self._displays = RvizExploration(config)
+        self._rviz = RvizExploration(config)
         self._steps = config.exploration.steps
         self._table = Table(SessionPaths(session).table(TABLE), COLUMNS[TABLE])
         self._table.truncate_after("step", steps_done)
         rows = read_table(self._table.path, self._table.columns)
         self.last_step = int(rows["step"][-1]) if len(rows["step"]) else 0
-        """The newest step that has a row."""
+        """The newest step in the table."""
         self.effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
+        """Effort after that step, see Assessment."""
 
     def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment) -> None:
-        """Tell of the step that ended in a state; it gets a row unless it has one from before a resume."""
+        """Publish the step that ended in a state; append its row unless it has one from before a resume."""
         if assessment.step > self.last_step:
             self._table.append(_row(state, assessment))
             self.last_step = assessment.step
         self._publisher.publish(_message(state, run, assessment))
-        self._displays.show(state.header.stamp, run, assessment, last=assessment.step == self._steps)
+        self._rviz.show_step(state.header.stamp, run, assessment, last=assessment.step == self._steps)
+
+    def report_plan(self, stamp: rospy.Time, states: np.ndarray) -> None:
+        """Publish the planned states (H, 3) [m, m, rad] of the next command."""
+        self._rviz.show_plan(stamp, states)
 
     def close(self) -> None:
         """Close the table."""

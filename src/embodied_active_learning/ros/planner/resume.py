@@ -40,7 +40,7 @@ class PlannerResume:
         """
         stamp = state.header.stamp
         save_memory(
-            self._path, PlannerState(run.step, (stamp.secs, stamp.nsecs), *state_arrays(state), arm, run.memory())
+            self._path, PlannerState(run.step, (stamp.secs, stamp.nsecs), *state_arrays(state), arm, run.state_dict())
         )
 
     def recall(self, trajectory: np.ndarray) -> Optional[Recalled]:
@@ -60,7 +60,7 @@ class PlannerResume:
                     f"{self._path} is of another run: its state is not that of the newest observation"
                 )
             run = ExplorationRun(self._config, trajectory[: memory.index])
-            run.recall(memory.run)
+            run.load_state_dict(memory.run)
         except CorruptFileError as error:
             rospy.logwarn("exploration goes on from what is stored, but with other random draws: %s", error)
             return None

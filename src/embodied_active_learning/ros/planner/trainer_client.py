@@ -1,4 +1,4 @@
-"""The planner's side of the trainer."""
+"""Client of the trainer's services."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from embodied_active_learning.srv import (
 
 
 class TrainerClient:
-    """Asks the trainer, waits for it as long as it takes, and says so meanwhile."""
+    """Calls the trainer, and retries without a timeout while it does not respond; the wait is logged."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -34,32 +34,39 @@ class TrainerClient:
         self._trajectory = RetryingService(names.TRAINER_TRAJECTORY, GetTrajectory)
 
     def trajectory(self) -> Tuple[np.ndarray, Path]:
-        """States (N, 3) of what is stored, SI units, and the session's folder."""
-        answer = self._trajectory.call(GetTrajectoryRequest())
-        return states_array(answer.states), Path(answer.session)
+        """Return the states (N, 3) [m, m, rad] of the stored observations, and the session's folder."""
+        response = self._trajectory.call(GetTrajectoryRequest())
+        return states_array(response.states), Path(response.session)
 
     def observe(self, observation: Observation) -> None:
-        """Hand over one observation; when this returns it is stored for good. Raises the trainer's refusal."""
-        answer = self._observe.call(ObserveRequest(observation))
-        if not answer.success:
-            raise EmbodiedActiveLearningError(f"observation {observation.index} was not stored: {answer.message}")
+        """Store an observation; on return it is on the trainer's disk.
+
+        Raises:
+            EmbodiedActiveLearningError: the trainer refused the observation.
+        """
+        response = self._observe.call(ObserveRequest(observation))
+        if not response.success:
+            raise EmbodiedActiveLearningError(f"observation {observation.index} was not stored: {response.message}")
 
     def log_std(self, states: np.ndarray, observations: int) -> Optional[np.ndarray]:
-        """Log standard deviation (S,) at states (S, 3) in SI units; None while nothing is learned.
+        """Return the log standard deviation (S,) at states (S, 3) [m, m, rad]; None before anything is learned.
 
-        Waits until the trainer is at most max_lag updates behind what is to be awaited with so many observations.
+        Waits until the trainer is at most `training/max_lag` updates behind those due for this many observations.
+
+        Raises:
+            EmbodiedActiveLearningError: the trainer refused the states.
         """
         awaited = self._config.updates_awaited(observations)
         if awaited == 0:
-            return None  # also where the trainer was quick, so that a run can be repeated
+            return None  # even if the trainer is ahead, so that runs are reproducible
         updates = max(0, awaited - self._config.training.max_lag)
         request = EvaluateEntropyRequest(updates, np.asarray(states).ravel().tolist())
         made = 0
         with log_wait(lambda: f"the trainer: update {made} of {updates}"):
             while True:
-                answer = self._entropy.call(request)
-                if not answer.success:
-                    raise EmbodiedActiveLearningError(f"the trainer gave no entropy: {answer.message}")
-                if answer.ready:
-                    return np.array(answer.log_std) if answer.learned else None
-                made = answer.updates
+                response = self._entropy.call(request)
+                if not response.success:
+                    raise EmbodiedActiveLearningError(f"the trainer returned no entropy: {response.message}")
+                if response.ready:
+                    return np.array(response.log_std) if response.learned else None
+                made = response.updates

@@ -1,0 +1,1 @@
+"""The trainer node: services and status of a TrainingRun."""

@@ -1,0 +1,31 @@
+"""Requests of several nodes to pause the planner."""
+
+from embodied_active_learning.ros.planner.pause_server import PauseRequests
+
+
+def test_person_pause_outlasts_fingerprinter_pause():
+    requests = PauseRequests()
+    assert requests.add("/fingerprinter")
+    assert not requests.add("/rosservice_1")
+    assert not requests.release("/fingerprinter")
+    assert requests.release("/rosservice_2"), "a person's next call has another name"
+
+
+def test_person_can_release_pause_of_dead_node():
+    requests = PauseRequests()
+    requests.add("/fingerprinter")
+    assert requests.release("/rosservice_1")
+    assert requests.text == ""
+
+
+def test_release_without_pause_changes_nothing():
+    assert not PauseRequests().release("/fingerprinter")
+
+
+def test_pause_requests_restored_from_text():
+    requests = PauseRequests()
+    requests.add("/fingerprinter")
+    requests.add("/rosservice_1")
+    again = PauseRequests(requests.text)
+    assert not again.release("/fingerprinter")
+    assert again.text == "/rosservice_1"
