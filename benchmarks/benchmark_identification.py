@@ -72,7 +72,7 @@ class PlainIdentification:
 
     def observe(self, states: np.ndarray, images: np.ndarray) -> None:
         """Take the next images of the stream."""
-        for state, image, weight in zip(states, images, self._weights.of(states)):
+        for state, image, weight in zip(states, images, self._weights.update(states)):
             for index, item in enumerate(self._fingerprints):
                 distances = np.linalg.norm(self._latents(item.states, image) - item.latent_means, axis=1)
                 view = int(distances.argmin())
@@ -176,7 +176,7 @@ def many_section(config: Config, models: int, images: int) -> Section:
         Row("whole", value=f"{whole:.0f} s for {FULL_STREAM} images{measured}", target="180 s"),
         Row("resident memory", value=f"{resident_memory():.0f} MiB"),
     ]
-    how = f"{len(looking[0].sought)} fingerprints of {models} models, twelve comparisons for each."
+    how = f"{len(looking[0].targets)} fingerprints of {models} models, twelve comparisons for each."
     return Section("Identification: many models", how, rows)
 
 
@@ -197,7 +197,7 @@ def _difference(found: FingerprintSet, stream: Stream) -> float:
     fast, plain = make_identification([found]), PlainIdentification(found)
     for one in (fast, plain):
         one.observe(*stream.part(0, PLAIN_PART))
-    return max(float(np.abs(item.grid.mean - plain.mean(index)).max()) for index, item in enumerate(fast.sought))
+    return max(float(np.abs(item.grid.mean - plain.mean(index)).max()) for index, item in enumerate(fast.targets))
 
 
 def _an_image(observe: Callable[[np.ndarray, np.ndarray], None], stream: Stream) -> Turn:

@@ -20,9 +20,11 @@ import torch
 
 from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.geometry import Location
+from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
-from embodied_active_learning.objects.identification import Decision, Identification, SearchTarget
+from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.report import SAME_PLACE, nearest, score
+from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.pipeline.exploration import ExplorationRun
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints
@@ -181,7 +183,7 @@ def evaluate(
     identification.observe(states, images)
     verified = identification.decide(states, images)
     kinds = fingerprint_kinds(sets)
-    for item in identification.sought:
+    for item in identification.targets:
         key = (item.session, item.fingerprint.name)
         instances = sum(kind == kinds[key] for kind, _, _ in objects)
         rules = {

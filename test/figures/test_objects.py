@@ -15,8 +15,8 @@ from embodied_active_learning.figures.beliefs import BeliefPanel, beliefs_figure
 from embodied_active_learning.figures.fingerprints import draw_fingerprints, fingerprints_figure
 from embodied_active_learning.figures.mosaic import top_view
 from embodied_active_learning.figures.trace import NEXT_TO, draw_trace, trace_figure
+from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
-from embodied_active_learning.objects.identification import Decision
 from embodied_active_learning.objects.matching import Matches
 
 CONFIG = Config.from_dict({"camera": {"width": 24, "height": 20}, "model": {"latent_size": 2}})

@@ -1,4 +1,4 @@
-"""Belief grids follow Bayes' rule cell by cell, and images from one place share the weight of one."""
+"""Belief grids and evidence weights."""
 
 from __future__ import annotations
 
@@ -50,23 +50,23 @@ def measure(grid, *measurements):
 
 
 def cell_of(grid, x, y, yaw):
-    """Indices of the cell whose middle is nearest."""
+    """Return the indices of the nearest cell."""
     return tuple(int(np.abs(axis - value).argmin()) for axis, value in zip((grid.x, grid.y, grid.yaw), (x, y, yaw)))
 
 
-def middle_of(grid, index):
+def centre_of(grid, index):
     return np.array([grid.x[index[0]], grid.y[index[1]], grid.yaw[index[2]]])
 
 
 def textbook(grid, prior_mean, prior_variance, pose, value, settings_=SETTINGS, weight=1.0):
-    """Product of the Gaussian belief of each cell with that of a measurement whose pose is the middle of a cell.
+    """Multiply the Gaussian belief of each cell with that of a measurement at the centre of a cell.
 
-    r(s) = far + K(s) (near - far), with near_variance at the pose and far_pull of its information far away.
+    r(s) = far + K(s) (near - far), near = near_variance, far = near_variance / far_pull.
     """
     mean, variance = np.empty(prior_mean.shape), np.empty(prior_mean.shape)
     near, far = settings_.near_variance, settings_.near_variance / settings_.far_pull
     for index in np.ndindex(mean.shape):
-        dx, dy, dyaw = middle_of(grid, index) - pose
+        dx, dy, dyaw = centre_of(grid, index) - pose
         dyaw = math.atan2(math.sin(dyaw), math.cos(dyaw))
         footprint = math.exp(
             -0.5 * ((dx**2 + dy**2) / settings_.kernel_std**2 + (dyaw / settings_.kernel_yaw_std) ** 2)
@@ -78,14 +78,14 @@ def textbook(grid, prior_mean, prior_variance, pose, value, settings_=SETTINGS, 
     return mean, variance
 
 
-def test_nothing_is_believed_before_the_first_image():
+def test_belief_starts_at_prior():
     grid = make_grid()
     assert grid.mean.shape == grid.std.shape == (20, 16, 12)
     np.testing.assert_allclose(grid.mean, 0.5)
     np.testing.assert_allclose(grid.std, math.sqrt(2.0))
 
 
-def test_cells_reach_over_the_margin_and_around_the_circle():
+def test_grid_covers_margin_and_full_circle():
     grid = make_grid(margin=0.02)
     np.testing.assert_allclose(grid.x[[0, -1]], (0.305, 0.645))
     np.testing.assert_allclose(grid.y[[0, -1]], (-0.17, 0.17))
@@ -94,31 +94,31 @@ def test_cells_reach_over_the_margin_and_around_the_circle():
 
 
 @pytest.mark.parametrize(("index", "value"), [((4, 9, 2), 0.9), ((0, 15, 11), 0.1), ((19, 0, 0), 1.0)])
-def test_one_measurement_changes_each_cell_by_bayes_rule(index, value):
+def test_update_follows_bayes_rule_in_every_cell(index, value):
     grid = make_grid()
-    pose = middle_of(grid, index)
+    pose = centre_of(grid, index)
     mean, variance = textbook(grid, grid.mean, grid.std**2, pose, value)
     measure(grid, (pose, value))
     np.testing.assert_allclose(grid.mean, mean, rtol=1e-9)
     np.testing.assert_allclose(grid.std, np.sqrt(variance), rtol=1e-9)
 
 
-def test_a_second_measurement_is_multiplied_to_what_the_first_has_left():
+def test_second_update_uses_first_posterior_as_prior():
     grid = make_grid()
     mean, variance = grid.mean, grid.std**2
     for index, value, weight in (((4, 9, 2), 0.9, 1.0), ((6, 8, 1), 0.3, 0.5)):
-        pose = middle_of(grid, index)
+        pose = centre_of(grid, index)
         mean, variance = textbook(grid, mean, variance, pose, value, weight=weight)
         measure(grid, (pose, value, weight))
     np.testing.assert_allclose(grid.mean, mean, rtol=1e-9)
     np.testing.assert_allclose(grid.std, np.sqrt(variance), rtol=1e-9)
 
 
-def test_at_the_pose_a_measurement_has_the_near_variance_wherever_in_its_cell_it_lies():
+def test_near_variance_applies_anywhere_in_measured_cell():
     grid = make_grid()
     index = (7, 5, 3)
     off = np.array([0.4 * (grid.x[1] - grid.x[0]), -0.4 * (grid.y[1] - grid.y[0]), 0.2])
-    measure(grid, (middle_of(grid, index) + off, 1.0))
+    measure(grid, (centre_of(grid, index) + off, 1.0))
     expected = (0.5 / 2.0 + 1.0 / SETTINGS.near_variance) / (1.0 / 2.0 + 1.0 / SETTINGS.near_variance)
     assert grid.mean[index] == pytest.approx(expected, rel=1e-9)
     assert np.unravel_index(grid.mean.argmax(), grid.mean.shape) == index
@@ -126,8 +126,8 @@ def test_at_the_pose_a_measurement_has_the_near_variance_wherever_in_its_cell_it
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 50), st.integers(0, 2**31 - 1))
-def test_several_measurements_at_once_are_like_one_after_the_other(count, seed):
-    """On the grid and outside of it, fewer and more of them than are taken at a time."""
+def test_batch_update_equals_sequential_updates(count, seed):
+    """Poses on and outside the grid, fewer and more than one batch."""
     random = np.random.default_rng(seed)
     poses = random.uniform((0.2, -0.3, -math.pi), (0.75, 0.3, math.pi), (count, 3))
     values, weights = random.uniform(0, 1, (2, count))
@@ -140,7 +140,7 @@ def test_several_measurements_at_once_are_like_one_after_the_other(count, seed):
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 40), st.integers(0, 2**31 - 1))
-def test_what_many_measurements_add_is_the_sum_of_what_each_tells_each_cell(count, seed):
+def test_update_adds_information_of_each_measurement(count, seed):
     random = np.random.default_rng(seed)
     poses = random.uniform((0.2, -0.3, -math.pi), (0.75, 0.3, math.pi), (count, 3))
     values, weights = random.uniform(0, 1, (2, count))
@@ -148,16 +148,16 @@ def test_what_many_measurements_add_is_the_sum_of_what_each_tells_each_cell(coun
     information = np.full(grid.mean.shape, 0.5)
     weighted = 0.5 * information
     for pose, value, weight in zip(poses, values, weights):
-        told = weight * plain_information(grid, pose)
-        information += told
-        weighted += told * value
+        added = weight * plain_information(grid, pose)
+        information += added
+        weighted += added * value
     grid.update(poses, values, weights)
     np.testing.assert_allclose(grid.mean, weighted / information, rtol=1e-12)
     np.testing.assert_allclose(grid.std, 1.0 / np.sqrt(information), rtol=1e-12)
 
 
 def plain_information(grid, pose):
-    """1 / r of the docstring of update, for one pose and the full grid."""
+    """Return 1 / r (see BeliefGrid.update) for one pose and the full grid."""
     inside = abs(pose[0] - 0.475) <= 0.1725 and abs(pose[1]) <= 0.1725
     footprint = np.ones(grid.mean.shape)
     scales = ((grid.x, SETTINGS.kernel_std), (grid.y, SETTINGS.kernel_std), (grid.yaw, SETTINGS.kernel_yaw_std))
@@ -174,7 +174,7 @@ def plain_information(grid, pose):
 
 @settings(max_examples=25, deadline=None)
 @given(MEASUREMENTS, st.randoms(use_true_random=False))
-def test_the_order_of_images_does_not_matter(measurements, random):
+def test_belief_independent_of_image_order(measurements, random):
     shuffled = random.sample(measurements, len(measurements))
     grids = [make_grid(), make_grid()]
     for grid, items in zip(grids, (measurements, shuffled)):
@@ -185,7 +185,7 @@ def test_the_order_of_images_does_not_matter(measurements, random):
 
 @settings(max_examples=25, deadline=None)
 @given(MEASUREMENTS)
-def test_means_stay_between_0_and_1_and_every_measurement_makes_every_cell_surer(measurements):
+def test_mean_stays_in_range_and_std_decreases(measurements):
     grid = make_grid()
     for item in measurements:
         before = grid.std
@@ -194,7 +194,7 @@ def test_means_stay_between_0_and_1_and_every_measurement_makes_every_cell_surer
         assert np.all((grid.mean >= 0.0) & (grid.mean <= 1.0))
 
 
-def test_yaw_has_no_border():
+def test_belief_wraps_around_yaw():
     above, below, opposite = (
         measure(make_grid(), ((0.45, 0.0, yaw), 1.0)) for yaw in (math.pi - 0.01, -math.pi + 0.01, 0.0)
     )
@@ -206,42 +206,43 @@ def test_yaw_has_no_border():
     assert mean[-1] > mean[-2] > mean[-3]
 
 
-def test_any_turn_more_makes_no_difference():
+def test_belief_ignores_full_turns_of_yaw():
     once, thrice = (measure(make_grid(), ((0.45, 0.0, yaw), 1.0)) for yaw in (0.7, 0.7 + 4 * math.pi))
     np.testing.assert_allclose(once.mean, thrice.mean, rtol=1e-9)
 
 
 @pytest.mark.parametrize("pose", [(0.72, 0.0, 0.0), (0.21, 0.1, 0.0), (0.4, 0.26, 1.0), (0.4, -0.5, 1.0)])
-def test_a_pose_outside_the_grid_pulls_all_cells_only_weakly(pose):
+def test_pose_outside_grid_changes_cells_weakly(pose):
     pulled, inside = measure(make_grid(), (pose, 1.0)).mean, measure(make_grid(), ((0.45, 0.0, 0.0), 1.0)).mean
     assert inside.max() > 0.95
     assert 0.5 < pulled.min() <= pulled.max() < 0.65
 
 
 @pytest.mark.parametrize("beyond", [0.001, 0.01, 0.03, 0.06])
-def test_the_border_next_to_a_pose_outside_the_grid_is_not_taken_for_that_pose(beyond):
+def test_border_cell_keeps_kernel_value_of_outside_pose(beyond):
+    """The authors' code sets the kernel to 1 in the border cell nearest to a pose outside the grid."""
     grid = make_grid()
     index = (19, 8, 6)
-    pose = np.add(middle_of(grid, index), (beyond, 0.0, 0.0))
+    pose = np.add(centre_of(grid, index), (beyond, 0.0, 0.0))
     mean, _ = textbook(grid, grid.mean, grid.std**2, pose, 1.0)
     measure(grid, (pose, 1.0))
     np.testing.assert_allclose(grid.mean, mean, rtol=1e-9)
 
 
 @pytest.mark.parametrize("far_pull", [0.001, 0.02, 0.5])
-def test_unseen_cells_are_drawn_by_the_far_pull(far_pull):
+def test_far_pull_moves_unseen_cells(far_pull):
     grid = measure(make_grid(far_pull=far_pull), ((0.33, -0.14, 0.0), 1.0))
     information = far_pull / SETTINGS.near_variance
     unseen = grid.mean[cell_of(grid, 0.62, 0.14, 3.0)]
     assert unseen == pytest.approx((0.25 + information) / (0.5 + information), rel=1e-6)
 
 
-def test_with_a_far_pull_of_1_every_cell_takes_every_measurement_in_full():
+def test_far_pull_of_one_updates_all_cells_equally():
     grid = measure(make_grid(far_pull=1.0), ((0.33, -0.14, 0.0), 1.0))
     np.testing.assert_allclose(grid.mean, grid.mean[0, 0, 0])
 
 
-def test_half_a_weight_is_half_the_information():
+def test_half_weight_halves_information():
     pose = (0.45, 0.03, 0.2)
     halves = measure(make_grid(), (pose, 0.8, 0.5), (pose, 0.8, 0.5))
     whole = measure(make_grid(), (pose, 0.8, 1.0))
@@ -249,7 +250,7 @@ def test_half_a_weight_is_half_the_information():
     np.testing.assert_allclose(halves.std, whole.std, rtol=1e-12)
 
 
-def test_over_yaw_is_the_best_yaw_at_each_place_with_its_own_uncertainty():
+def test_over_yaw_returns_best_yaw_and_its_std():
     grid = measure(make_grid(), ((0.45, 0.0, 1.0), 1.0), ((0.45, 0.0, -1.0), 0.0), ((0.55, 0.05, 2.0), 0.7))
     mean, std = grid.over_yaw()
     for row, column in np.ndindex(20, 16):
@@ -265,7 +266,7 @@ def peaked(**values):
     return measure(make_grid(cells=(40, 40, 18), **values), *zip(PLACES, (0.8, 1.0, 0.9)))
 
 
-def test_peaks_are_where_measurements_point_the_highest_first():
+def test_peaks_at_measured_poses_highest_first():
     grid = peaked()
     found = grid.peaks(0.06, 12)
     for (pose, mean, std, _), expected in zip(found, (PLACES[1], PLACES[2], PLACES[0])):
@@ -275,19 +276,21 @@ def test_peaks_are_where_measurements_point_the_highest_first():
         assert mean == grid.mean[index] == grid.mean[index[:2]].max()
         assert std == pytest.approx(grid.std[index])
     means = [mean for _, mean, _, _ in found]
-    assert [rise for _, _, _, rise in found] == pytest.approx([mean - np.median(grid.over_yaw()[0]) for mean in means])
+    assert [peak.prominence for peak in found] == pytest.approx(
+        [mean - np.median(grid.over_yaw()[0]) for mean in means]
+    )
     assert means == sorted(means, reverse=True)
 
 
 @pytest.mark.parametrize("distance", [0.03, 0.06, 0.15])
-def test_no_two_peaks_are_closer_than_asked_for(distance):
+def test_peaks_keep_minimum_distance(distance):
     poses = np.array([pose for pose, _, _, _ in peaked().peaks(distance, 1000)])
     apart = np.linalg.norm(poses[:, None, :2] - poses[:, :2], axis=2) + 10.0 * np.eye(len(poses))
     assert len(poses) >= 2
     assert apart.min() >= distance
 
 
-def test_of_two_peaks_that_are_too_close_the_higher_stays():
+def test_higher_of_two_close_peaks_is_kept():
     grid = measure(make_grid(cells=(40, 40, 18)), ((0.45, 0.0, 0.0), 0.9), ((0.53, 0.0, 0.0), 1.0))
     places = [pose[0] for pose, _, _, _ in grid.peaks(0.05, 2)]
     assert places == pytest.approx([0.53, 0.45], abs=0.006)
@@ -297,78 +300,79 @@ def test_of_two_peaks_that_are_too_close_the_higher_stays():
 
 
 @pytest.mark.parametrize("most", [1, 2, 5])
-def test_no_more_peaks_than_asked_for(most):
+def test_peak_count_is_limited(most):
     assert len(peaked().peaks(0.06, most)) == min(most, len(PLACES))
     assert len(make_grid().peaks(0.06, most)) == most
 
 
-def test_peaks_lie_inside_the_workspace_and_not_in_the_margin():
+def test_peaks_exclude_margin():
     grid = measure(make_grid(cells=(40, 40, 18), margin=0.05), ((0.66, 0.0, 0.0), 1.0), ((0.45, 0.1, 0.0), 0.8))
     found = grid.peaks(0.06, 100)
     assert all(WORKSPACE.contains([*pose[:2], 0.0]) for pose, _, _, _ in found)
     assert found[0][0][:2] == pytest.approx((0.45, 0.1), abs=0.006)
 
 
-def test_at_the_border_a_peak_counts_though_the_belief_is_higher_beyond_it():
+def test_peak_at_workspace_border_is_found():
+    """The belief is higher beyond the border."""
     grid = measure(make_grid(cells=(40, 40, 18), margin=0.05), ((0.645, 0.05, 0.0), 1.0), ((0.45, 0.05, 0.0), 0.0))
     pose, _, _, _ = grid.peaks(0.06, 1)[0]
     assert pose[:2] == pytest.approx((0.62, 0.05), abs=0.011)
 
 
-def test_peaks_may_have_a_yaw_that_the_camera_cannot_take():
+def test_peak_yaw_may_exceed_camera_limits():
     pose, _, _, _ = measure(make_grid(cells=(40, 40, 18)), ((0.45, 0.0, 3.0), 1.0)).peaks(0.06, 1)[0]
     assert pose[2] == pytest.approx(3.0, abs=math.pi / 18)
 
 
-def test_yaws_of_a_place_are_the_maxima_around_the_circle_the_highest_first():
+def test_yaw_peaks_are_circular_maxima_highest_first():
     grid = measure(
         make_grid(cells=(40, 40, 18)), ((0.45, 0.0, 3.1), 0.9), ((0.45, 0.0, 0.3), 1.0), ((0.45, 0.0, -1.5), 0.8)
     )
     width = 2.0 * math.pi / 18
-    found = grid.yaws(np.array([0.452, 0.003, 1.0]), 3)
+    found = grid.yaw_peaks(np.array([0.452, 0.003, 1.0]), 3)
     assert found == pytest.approx([0.3, 3.1, -1.5], abs=0.5 * width)
-    assert grid.yaws(np.array([0.452, 0.003, 1.0]), 2) == found[:2]
+    assert grid.yaw_peaks(np.array([0.452, 0.003, 1.0]), 2) == found[:2]
 
 
-def test_a_place_of_which_no_yaw_is_known_keeps_its_own():
-    assert make_grid().yaws(np.array([0.45, 0.0, 1.0]), 3) == [1.0]
+def test_yaw_peaks_of_flat_belief_return_given_yaw():
+    assert make_grid().yaw_peaks(np.array([0.45, 0.0, 1.0]), 3) == [1.0]
 
 
 PLACE = (0.45, 0.02, 0.5)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7])
-def test_images_from_one_place_count_1_and_a_half_and_a_third(count):
-    weights = EvidenceWeights(SETTINGS).of(np.tile(PLACE, (count, 1)))
+def test_nth_image_of_one_state_weighs_one_nth(count):
+    weights = EvidenceWeights(SETTINGS).update(np.tile(PLACE, (count, 1)))
     np.testing.assert_allclose(weights, 1.0 / np.arange(1, count + 1))
 
 
-def test_images_from_places_far_apart_count_fully():
+def test_distant_images_have_full_weight():
     states = np.array([PLACE, (0.52, 0.02, 0.5), (0.45, -0.05, 0.5), (0.45, 0.02, -1.0)])
-    np.testing.assert_allclose(EvidenceWeights(SETTINGS).of(states), 1.0, atol=1e-6)
+    np.testing.assert_allclose(EvidenceWeights(SETTINGS).update(states), 1.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("step", [(0.01, 0.0, 0.0), (0.0, -0.01, 0.0), (0.0, 0.0, 0.2)])
-def test_an_image_one_independence_length_away_shares_part_of_the_weight(step):
-    weights = EvidenceWeights(SETTINGS).of(np.array([PLACE, np.add(PLACE, step)]))
+def test_image_at_independence_length_shares_weight(step):
+    weights = EvidenceWeights(SETTINGS).update(np.array([PLACE, np.add(PLACE, step)]))
     np.testing.assert_allclose(weights, [1.0, 1.0 / (1.0 + math.exp(-0.5))])
 
 
-def test_a_full_turn_away_is_the_same_place():
+def test_evidence_weight_wraps_yaw():
     states = np.array([(0.45, 0.0, math.pi - 0.001), (0.45, 0.0, -math.pi + 0.001)])
-    np.testing.assert_allclose(EvidenceWeights(SETTINGS).of(states), [1.0, 0.5], atol=1e-4)
+    np.testing.assert_allclose(EvidenceWeights(SETTINGS).update(states), [1.0, 0.5], atol=1e-4)
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**31 - 1), st.lists(st.integers(0, 30), max_size=4))
-def test_it_makes_no_difference_in_which_parts_the_stream_comes(seed, cuts):
+def test_result_independent_of_stream_chunks(seed, cuts):
     states = np.random.default_rng(seed).uniform((0.44, 0.0, -0.4), (0.48, 0.04, 0.4), (30, 3))
     stream = EvidenceWeights(SETTINGS)
-    parts = [stream.of(part) for part in np.split(states, sorted(cuts))]
-    np.testing.assert_allclose(np.concatenate(parts), EvidenceWeights(SETTINGS).of(states), rtol=1e-12)
+    parts = [stream.update(part) for part in np.split(states, sorted(cuts))]
+    np.testing.assert_allclose(np.concatenate(parts), EvidenceWeights(SETTINGS).update(states), rtol=1e-12)
 
 
-def test_counted_images_all_count_fully():
+def test_counted_evidence_has_full_weight():
     stream = EvidenceWeights(replace(SETTINGS, evidence="counted"))
-    np.testing.assert_array_equal(stream.of(np.tile(PLACE, (5, 1))), np.ones(5))
-    np.testing.assert_array_equal(stream.of(np.tile(PLACE, (2, 1))), np.ones(2))
+    np.testing.assert_array_equal(stream.update(np.tile(PLACE, (5, 1))), np.ones(5))
+    np.testing.assert_array_equal(stream.update(np.tile(PLACE, (2, 1))), np.ones(2))

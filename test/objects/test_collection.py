@@ -1,4 +1,4 @@
-"""Views of an object are collected by an arm that does exactly what it is told: enough, different, and around it."""
+"""Collection of views with an ideal arm."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONFIG = Config()
 
 
 def configuration(samples=300, **fingerprint):
-    """One that is fast: fewer views, and a coarser target, around which they spread less evenly."""
+    """Return a configuration for fast tests: fewer views and fewer samples of the target."""
     values = {"exploration": {"samples": samples}, "fingerprint": {"views": 20, "steps_per_view": 3, **fingerprint}}
     return Config.from_dict(values)
 
@@ -30,7 +30,7 @@ WORKSPACE = CONFIG.workspace.box()
 
 
 class Arm:
-    """Follows each velocity exactly, and takes a photograph that says where it is."""
+    """Follows each velocity exactly; the value of its images is the number of the step."""
 
     def __init__(self, collection, moves=True):
         self.collection, self.moves = collection, moves
@@ -63,12 +63,12 @@ class Arm:
 
 @functools.lru_cache(maxsize=None)
 def collect(centre=CENTRE, seed=0, config=FAST):
-    """The arm after a whole collection."""
+    """Return the arm after a complete collection."""
     return Arm(ViewCollection(config, np.array(centre), seed)).run()
 
 
 def box_around(centre, size=CONFIG.fingerprint.view_box):
-    """Limits (2, 3) of where views of a centre may be taken from."""
+    """Return the limits (2, 3) of the view box around a centre."""
     low, high = np.array(WORKSPACE.lower), np.array(WORKSPACE.upper)
     low[:2] = np.maximum(low[:2], np.array(centre[:2]) - size)
     high[:2] = np.minimum(high[:2], np.array(centre[:2]) + size)
@@ -81,7 +81,7 @@ each_case = pytest.mark.parametrize(("centre", "seed", "config"), CASES)
 
 
 @each_case
-def test_as_many_views_as_asked_for_are_kept(centre, seed, config):
+def test_collection_keeps_requested_view_count(centre, seed, config):
     collection = collect(centre, seed, config).collection
     assert collection.complete
     assert not collection.exhausted
@@ -90,7 +90,7 @@ def test_as_many_views_as_asked_for_are_kept(centre, seed, config):
 
 
 @each_case
-def test_no_view_is_nearly_a_duplicate_of_another(centre, seed, config):
+def test_collection_has_no_duplicate_views(centre, seed, config):
     states = collect(centre, seed, config).collection.states
     distance, turn = pose_distance(states[:, None], states)
     near = (distance < CONFIG.fingerprint.min_view_distance) & (turn < CONFIG.fingerprint.min_view_turn)
@@ -98,7 +98,7 @@ def test_no_view_is_nearly_a_duplicate_of_another(centre, seed, config):
 
 
 @each_case
-def test_commands_keep_the_arm_in_the_box_around_the_object_and_below_its_limits(centre, seed, config):
+def test_commands_stay_in_view_box_and_speed_limits(centre, seed, config):
     arm = collect(centre, seed, config)
     low, high = box_around(centre)
     path = np.array(arm.path)
@@ -111,7 +111,7 @@ def test_commands_keep_the_arm_in_the_box_around_the_object_and_below_its_limits
 
 
 @pytest.mark.parametrize(("centre", "seed", "config"), THOROUGH)
-def test_views_are_as_far_from_the_centre_as_asked_for_and_of_every_yaw(centre, seed, config):
+def test_views_match_view_std_and_cover_yaw(centre, seed, config):
     states = collect(centre, seed, config).collection.states
     for axis in range(2):
         room = np.abs(box_around(centre)[:, axis] - centre[axis])
@@ -125,7 +125,7 @@ def test_views_are_as_far_from_the_centre_as_asked_for_and_of_every_yaw(centre, 
     assert counts.min() >= len(states) // 8
 
 
-def test_the_spread_of_the_views_follows_the_setting():
+def test_view_std_sets_spread():
     spreads = []
     for view_std in (0.01, 0.03):
         config = configuration(samples=1000, view_std=view_std)
@@ -133,26 +133,26 @@ def test_the_spread_of_the_views_follows_the_setting():
     assert np.all(spreads[1] > 1.4 * spreads[0])
 
 
-def test_views_of_one_yaw_are_taken_if_that_is_asked_for():
+def test_view_yaw_std_sets_yaw_spread():
     config = configuration(view_yaw_std=0.3)
     wide, narrow = (np.std(collect(config=item).collection.states[:, 2]) for item in (FAST, config))
     assert narrow < 0.6 * wide
 
 
-def test_collection_begins_above_the_centre_or_at_the_nearest_point_of_the_workspace():
+def test_collection_starts_at_centre_clipped_to_workspace():
     np.testing.assert_array_equal(ViewCollection(CONFIG, np.array(CENTRE), 0).start, CENTRE)
     beyond = ViewCollection(CONFIG, np.array([0.635, 0.16, -3.0]), 0)
     np.testing.assert_allclose(beyond.start, [0.625, 0.15, -2.0])
 
 
-def test_object_just_beyond_the_border_is_viewed_from_inside():
+def test_object_beyond_border_is_viewed_from_workspace():
     arm = collect((0.635, 0.0, 0.0))
     assert arm.collection.complete
     assert np.all(WORKSPACE.contains(np.array(arm.path), 1e-9))
     assert np.abs(arm.collection.states[:, 1]).mean() < 2.0 * CONFIG.fingerprint.view_std
 
 
-def test_a_box_larger_than_the_workspace_is_cut_to_it():
+def test_view_box_is_clipped_to_workspace():
     arm = collect(config=configuration(views=12, view_box=0.5, view_std=0.2))
     assert arm.collection.complete
     assert np.all(WORKSPACE.contains(np.array(arm.path), 1e-9))
@@ -160,7 +160,7 @@ def test_a_box_larger_than_the_workspace_is_cut_to_it():
     assert speeds[:, :2].max() <= CONFIG.arm.max_speed + 1e-12
 
 
-def test_kept_are_the_state_and_the_image_of_every_third_step_at_most():
+def test_views_taken_every_steps_per_view():
     arm = collect()
     kept = np.flatnonzero(arm.kept)
     assert np.all(kept % 3 == 0)
@@ -170,7 +170,7 @@ def test_kept_are_the_state_and_the_image_of_every_third_step_at_most():
     assert np.any(np.flatnonzero(often.kept) % 3)
 
 
-def test_state_and_image_are_copied_when_they_are_kept():
+def test_kept_views_are_copies():
     collection = ViewCollection(CONFIG, np.array(CENTRE), 0)
     state, image = np.array(CENTRE), np.zeros((2, 3, 3), np.uint8)
     assert collection.observe(state, np.zeros(3), image)
@@ -180,7 +180,7 @@ def test_state_and_image_are_copied_when_they_are_kept():
     assert collection.images.max() == 0
 
 
-def test_there_are_no_views_before_the_first():
+def test_new_collection_is_empty():
     collection = ViewCollection(CONFIG, np.array(CENTRE), 0)
     assert collection.states.shape == (0, 3)
     assert len(collection.images) == 0
@@ -188,7 +188,7 @@ def test_there_are_no_views_before_the_first():
     assert not collection.exhausted
 
 
-def test_duplicates_are_told_by_distance_and_turn_together():
+def test_duplicate_needs_small_distance_and_turn():
     collection = ViewCollection(configuration(steps_per_view=1), np.array(CENTRE), 0)
     offsets = [(0, 0, 0), (0.001, 0, 0.03), (0.003, 0, 0), (0, 0.001, 0.06), (0.001, 0.001, -0.04), (0, 0.003, 0.06)]
     kept = [
@@ -197,7 +197,7 @@ def test_duplicates_are_told_by_distance_and_turn_together():
     assert kept == [True, False, True, True, False, True]
 
 
-def test_an_arm_that_does_not_move_ends_the_collection():
+def test_collection_of_immobile_arm_is_exhausted():
     config = configuration(views=4)
     arm = Arm(ViewCollection(config, np.array(CENTRE), 0), moves=False).run(1000)
     assert arm.collection.exhausted
@@ -206,14 +206,14 @@ def test_an_arm_that_does_not_move_ends_the_collection():
     assert 4 * 3 <= len(arm.kept) < 100
 
 
-def test_one_seed_gives_one_sequence_of_commands():
+def test_commands_are_deterministic_per_seed():
     config = configuration(views=4)
     runs = [Arm(ViewCollection(config, np.array(CENTRE), seed)).run().commands for seed in (5, 5, 6)]
     assert runs[0] == runs[1]
     assert runs[0] != runs[2]
 
 
-def test_after_an_interruption_the_arm_sets_off_from_rest():
+def test_interrupt_restarts_from_rest():
     arm = Arm(ViewCollection(FAST, np.array(CENTRE), 0))
     slower = FAST.fingerprint.view_box / WORKSPACE.scale[0]
     top_speed = np.array([slower * FAST.arm.max_speed] * 2 + [FAST.arm.max_turn_rate])
@@ -230,7 +230,7 @@ def test_after_an_interruption_the_arm_sets_off_from_rest():
     assert speed.max() <= 0.5 * FAST.planner.acceleration_limit * FAST.exploration.step_duration + 1e-9
 
 
-def test_collection_goes_on_after_an_interruption():
+def test_collection_completes_after_interrupt():
     arm = Arm(ViewCollection(configuration(views=6), np.array(CENTRE), 0)).run(8)
     arm.velocity = np.zeros(3)
     arm.collection.interrupt()

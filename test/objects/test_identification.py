@@ -1,4 +1,4 @@
-"""Painted things are found where they were put, as often as they are there, and nothing else is."""
+"""Identification of painted things on a painted table."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RED, BLUE, GREEN = Thing(0, (0.40, -0.07, 0.6)), Thing(1, (0.54, 0.06, -1.0)), T
 BARE = (0.36, 0.12)
 LEARNED = learn((RED, BLUE), BARE)
 WORKSPACE, CAMERA = LEARNED.config.workspace.box(), LEARNED.config.camera
-# Where things are put in the tests, and where none is: far enough apart not to be in one view.
+# Poses of things, and one without; far enough apart not to be in the same view.
 HERE, THERE, NOWHERE = (0.56, -0.08, 0.9), (0.38, 0.08, -0.4), (0.57, 0.10, 0.0)
 
 
@@ -48,7 +48,7 @@ TWO = (put(RED, HERE), put(BLUE, THERE))
 
 @functools.lru_cache(maxsize=None)
 def stream(things=TWO, noise=3.0, around=(HERE, THERE, NOWHERE)):
-    """States all over the workspace, more of them around where things may be, and what is seen from them."""
+    """Return states across the workspace, denser around given poses, and their images."""
     random = np.random.default_rng(3)
     places = [random.uniform(np.subtract(pose, 0.03), np.add(pose, 0.03), (40, 3)) for pose in around]
     states = WORKSPACE.clip(np.concatenate([random_states(WORKSPACE, 60, seed=3), *places]))
@@ -61,16 +61,16 @@ def make_identification(sets=(LEARNED,), settings=SETTINGS, camera=CAMERA):
         return Identification(sets, WORKSPACE, camera, settings)
 
 
-def identify(images, sets=(LEARNED,), settings=SETTINGS, observed=None):
-    """The decisions on a stream, or those on it after a part of it, or another one, was observed."""
-    looking = make_identification(sets, settings)
-    looking.observe(*(images if observed is None else observed))
-    return looking.decide(*images)
+def identify(images, sets=(LEARNED,), settings=SETTINGS):
+    """Observe a stream and return the decisions."""
+    search = make_identification(sets, settings)
+    search.observe(*images)
+    return search.decide(*images)
 
 
 @functools.lru_cache(maxsize=None)
 def decide(things=TWO, **settings):
-    """The decisions on things that were put on the table, with settings other than the defaults."""
+    """Return the decisions for things on the table, with changed settings."""
     return tuple(identify(stream(things), settings=replace(SETTINGS, **settings)))
 
 
@@ -79,7 +79,7 @@ def of(decisions, name, session="learned"):
 
 
 def assert_found(decisions, poses):
-    """All are found, at these poses in whatever order, within 1 cm and 20 degrees, and numbered in their own order."""
+    """Check that all poses are found within 1 cm and 20 degrees, in any order, and numbered consecutively."""
     assert [item.instance for item in decisions] == list(range(1, len(poses) + 1))
     for item in decisions:
         assert item.found
@@ -90,19 +90,19 @@ def assert_found(decisions, poses):
 
 
 def assert_not_found(decisions):
-    """One decision says so, and why."""
+    """Check that there is one decision, not found, with a reason."""
     assert len(decisions) == 1
     assert not decisions[0].found
     assert decisions[0].instance == 0
     assert decisions[0].reason
 
 
-def test_things_that_were_moved_and_turned_are_found_where_they_are():
+def test_moved_and_turned_objects_are_found():
     assert_found(of(decide(), "object-1"), [HERE])
     assert_found(of(decide(), "object-2"), [THERE])
 
 
-def test_a_decision_says_what_it_was_made_by():
+def test_decision_reports_evidence_and_reason():
     red, blue, blank = decide()
     assert [item.fingerprint for item in (red, blue, blank)] == ["object-1", "object-2", "blank-1"]
     assert [item.kind for item in (red, blue, blank)] == [OBJECT, OBJECT, BLANK]
@@ -116,22 +116,22 @@ def test_a_decision_says_what_it_was_made_by():
 
 
 @pytest.mark.parametrize("pose", [(0.615, 0.14, 1.5), (0.33, -0.145, -0.7)])
-def test_a_thing_next_to_the_border_is_found(pose):
+def test_object_near_workspace_border_is_found(pose):
     assert_found(of(identify(stream((put(RED, pose),), around=(pose, pose, pose))), "object-1"), [pose])
 
 
-def test_a_thing_is_found_at_the_yaw_that_its_views_agree_with_though_another_is_believed_more():
-    looking = make_identification()
-    looking.observe(*stream())
+def test_agreeing_views_override_believed_yaw():
+    search = make_identification()
+    search.observe(*stream())
     wrong = np.array([(*HERE[:2], HERE[2] + 2.5)] * 20)
-    looking.sought[0].grid.update(wrong, np.ones(20), np.ones(20))
-    pose, _, _, _ = looking.sought[0].grid.peaks(SETTINGS.separation, 1)[0]
+    search.targets[0].grid.update(wrong, np.ones(20), np.ones(20))
+    pose, _, _, _ = search.targets[0].grid.peaks(SETTINGS.separation, 1)[0]
     _, turn = pose_distance(pose, wrong[0])
     assert turn < 0.5
-    assert_found(of(looking.decide(*stream()), "object-1"), [HERE])
+    assert_found(of(search.decide(*stream()), "object-1"), [HERE])
 
 
-def test_every_instance_of_a_thing_is_found_the_highest_belief_first():
+def test_all_instances_found_highest_belief_first():
     decisions = decide((put(RED, HERE), put(RED, THERE)))
     assert_found(of(decisions, "object-1"), [HERE, THERE])
     beliefs = [item.belief_mean for item in of(decisions, "object-1")]
@@ -139,26 +139,27 @@ def test_every_instance_of_a_thing_is_found_the_highest_belief_first():
     assert_not_found(of(decisions, "object-2"))
 
 
-def test_a_thing_that_is_absent_is_not_found_on_another_one():
+def test_absent_object_is_not_found_on_another():
     decisions = decide((put(RED, HERE),))
     assert_found(of(decisions, "object-1"), [HERE])
     assert_not_found(of(decisions, "object-2"))
 
 
 @pytest.mark.parametrize("things", [(), (put(GREEN, HERE),)])
-def test_nothing_but_blank_is_found_on_a_bare_table_and_where_all_is_unknown(things):
+def test_only_blank_found_without_known_objects(things):
+    """On a bare table, and beside an unknown object."""
     decisions = decide(things)
     assert [item.fingerprint for item in decisions if item.found] == ["blank-1"]
 
 
-def test_every_fingerprint_has_a_decision_also_when_its_belief_is_highest_beyond_the_workspace():
-    """What was looked for in vain all over the workspace is believed to be in the margin around it, if anywhere."""
-    looking = make_identification()
+def test_decision_exists_if_belief_peaks_in_margin():
+    """After low measurements all over the workspace, the belief is highest in the margin around it."""
+    search = make_identification()
     poses = np.array([[x, y, 0.0] for x in np.linspace(0.35, 0.6, 6) for y in np.linspace(-0.12, 0.12, 6)])
-    for item in looking.sought:
+    for item in search.targets:
         item.grid.update(poses, np.full(36, 0.2), np.ones(36))
         assert not WORKSPACE.contains(highest(item.grid))
-    decisions = looking.decide(np.empty((0, 3)), np.empty((0, 45, 45, 3), np.uint8))
+    decisions = search.decide(np.empty((0, 3)), np.empty((0, 45, 45, 3), np.uint8))
     assert [item.fingerprint for item in decisions] == ["object-1", "object-2", "blank-1"]
     for item in decisions:
         assert_not_found([item])
@@ -169,15 +170,15 @@ def highest(grid):
     return [grid.x[x], grid.y[y], 0.0]
 
 
-def test_blank_is_found_once_only_and_where_nothing_is():
+def test_blank_is_found_once_on_bare_table():
     (blank,) = of(decide(), "blank-1")
     assert (blank.found, blank.instance) == (True, 1)
-    assert blank.pose[2] == LEARNED.fingerprints[-1].centre[2]  # it has no yaw of its own
+    assert blank.pose[2] == LEARNED.fingerprints[-1].centre[2]  # a blank keeps the yaw of its fingerprint
     for thing in TWO:
         assert np.hypot(*(blank.pose[:2] - thing.pose[:2])) > thing.radius + 0.02
 
 
-def test_blank_is_decided_by_the_same_limit_as_objects():
+def test_blank_uses_same_limits_as_objects():
     rough = stream((), noise=30.0)
     assert_not_found(of(identify(rough), "blank-1"))
     wide = replace(SETTINGS, residual_limit=0.2)
@@ -185,14 +186,14 @@ def test_blank_is_decided_by_the_same_limit_as_objects():
     assert_not_found(of(decide(min_views=31), "blank-1"))
 
 
-def test_views_that_look_different_do_not_agree():
+def test_views_beyond_residual_limit_disagree():
     decisions = decide(residual_limit=0.0)
     assert_not_found(of(decisions, "object-1"))
     assert of(decisions, "object-1")[0].confidence == 0.0
     assert_not_found(of(decisions, "blank-1"))
 
 
-def test_views_that_point_elsewhere_do_not_agree_but_a_blank_is_in_no_particular_place():
+def test_views_pointing_elsewhere_disagree_except_for_blank():
     decisions = decide(agreement_distance=0.001)
     for name in ("object-1", "object-2"):
         assert_not_found(of(decisions, name))
@@ -201,46 +202,46 @@ def test_views_that_point_elsewhere_do_not_agree_but_a_blank_is_in_no_particular
 
 
 STRICT = {"agreement_distance": 0.007, "min_agreement": 0.1}
-"""Not all views agree then."""
+"""Limits with which only some of the views agree."""
 
 
-def test_the_share_of_views_that_must_agree_can_be_set():
+def test_min_agreement_sets_required_share():
     red = of(decide(**STRICT), "object-1")[0]
     assert 0.1 < red.confidence < 0.9
     assert_not_found(of(decide(**{**STRICT, "min_agreement": red.confidence + 0.01}), "object-1"))
     assert of(decide(**{**STRICT, "min_agreement": red.confidence}), "object-1")[0].found
 
 
-def test_a_thing_that_was_seen_from_too_few_places_is_not_found_and_the_reason_says_so():
+def test_too_few_views_are_rejected_with_reason():
     states, images = stream()
     near = np.flatnonzero(np.hypot(*(states[:, :2] - HERE[:2]).T) < 0.045)
     kept = np.setdiff1d(np.arange(len(states)), near)
     closest = near[np.argsort(np.hypot(*(states[near, :2] - HERE[:2]).T))]
     few = np.sort(np.concatenate([kept, closest[:4]]))
-    decisions = identify((states[few], images[few]), observed=None)
+    decisions = identify((states[few], images[few]))
     red = of(decisions, "object-1")
     assert_not_found(red)
     assert 0 < red[0].views <= 4
     assert red[0].confidence == 0.0
-    assert red[0].reason == f"seen from {red[0].views} places only, 5 are needed"
+    assert red[0].reason == f"only {red[0].views} views, 5 required"
     enough = identify((states[few], images[few]), settings=replace(SETTINGS, min_views=red[0].views))
     assert_found(of(enough, "object-1"), [HERE])
 
 
-def test_nothing_is_found_before_the_first_image():
-    looking = make_identification()
-    assert looking.images == 0
-    assert looking.sought[0].trace.pose.shape == (0, 3)
-    for item in looking.decide(np.empty((0, 3)), np.empty((0, 45, 45, 3), np.uint8)):
+def test_nothing_found_before_first_image():
+    search = make_identification()
+    assert search.images == 0
+    assert search.targets[0].trace.pose.shape == (0, 3)
+    for item in search.decide(np.empty((0, 3)), np.empty((0, 45, 45, 3), np.uint8)):
         assert_not_found([item])
         assert item.views == 0
         assert math.isinf(item.residual)
         assert item.confidence == 0.0
-        assert item.reason == "seen from 0 places only, 5 are needed"
+        assert item.reason == "only 0 views, 5 required"
 
 
-def alike(views=slice(None), name="object-3"):
-    """The fingerprint of the red thing once more, or some of its views."""
+def copy_of_red(views=slice(None), name="object-3"):
+    """Return a copy of the red thing's fingerprint, or part of its views."""
     red = LEARNED.fingerprints[0]
     arrays = {field: getattr(red, field)[views] for field in ("states", "images", "latent_means", "latent_stds")}
     return replace(red, name=name, **arrays)
@@ -251,49 +252,50 @@ def with_fingerprints(*fingerprints):
 
 
 @pytest.mark.parametrize("believed", [False, True])
-def test_of_two_fingerprints_that_claim_a_place_the_surer_has_it_and_not_the_one_that_is_believed_more(believed):
-    whole, part, blue = LEARNED.fingerprints[0], alike(slice(0, 25)), LEARNED.fingerprints[1]
+def test_higher_confidence_wins_overlap(believed):
+    """Even if the other fingerprint has the higher belief."""
+    whole, part, blue = LEARNED.fingerprints[0], copy_of_red(slice(0, 25)), LEARNED.fingerprints[1]
     settings, alone = replace(SETTINGS, **STRICT), {}
     for item in (whole, part):
         (alone[item.name],) = of(identify(stream(), [with_fingerprints(item, blue)], settings), item.name)
         assert alone[item.name].found
-    surer, other = sorted(alone, key=lambda name: -alone[name].confidence)
-    assert alone[surer].confidence > alone[other].confidence
-    looking = make_identification([with_fingerprints(blue, part, whole)], settings)
-    looking.observe(*stream())
+    winner_name, other = sorted(alone, key=lambda name: -alone[name].confidence)
+    assert alone[winner_name].confidence > alone[other].confidence
+    search = make_identification([with_fingerprints(blue, part, whole)], settings)
+    search.observe(*stream())
     if believed:
-        (sought,) = [item for item in looking.sought if item.fingerprint.name == other]
-        sought.grid.update(np.tile(alone[other].pose, (20, 1)), np.ones(20), np.ones(20))
-    both = looking.decide(*stream())
-    assert of(both, surer)[0].found
+        (target,) = [item for item in search.targets if item.fingerprint.name == other]
+        target.grid.update(np.tile(alone[other].pose, (20, 1)), np.ones(20), np.ones(20))
+    both = search.decide(*stream())
+    assert of(both, winner_name)[0].found
     assert_not_found(of(both, other))
-    assert of(both, other)[0].reason == f"{surer} fits better there"
-    assert (of(both, other)[0].belief_mean > of(both, surer)[0].belief_mean) == believed
+    assert of(both, other)[0].reason == f"{winner_name} fits better there"
+    assert (of(both, other)[0].belief_mean > of(both, winner_name)[0].belief_mean) == believed
 
 
-def test_two_fingerprints_that_are_equally_sure_do_not_both_claim_a_place():
-    decisions = identify(stream(), [with_fingerprints(LEARNED.fingerprints[0], alike(), LEARNED.fingerprints[1])])
+def test_equal_confidence_gives_one_claim_per_place():
+    decisions = identify(stream(), [with_fingerprints(LEARNED.fingerprints[0], copy_of_red(), LEARNED.fingerprints[1])])
     found = [item.fingerprint for item in decisions if item.found]
     assert found in (["object-1", "object-2"], ["object-3", "object-2"])
 
 
-def test_a_bare_place_next_to_an_object_does_not_take_the_objects_place():
-    """What stands out says nothing against the table next to it being bare, nor the other way round."""
+def test_blank_does_not_displace_nearby_object():
+    """Objects and blanks do not compete for a place."""
     small = RED._replace(radius=0.008)
-    bare = np.add(HERE, (-0.055, 0.0, 0.0))  # closer than two objects are taken to lie, and yet nothing is there
+    bare = np.add(HERE, (-0.055, 0.0, 0.0))  # within the separation, and bare
     images = stream((put(small, HERE),), around=(HERE, tuple(bare)))
     settings = replace(SETTINGS, **STRICT, separation=0.07)
-    looking = make_identification([learn((small, BLUE), BARE)], settings)
-    looking.observe(*images)
-    blank = looking.sought[-1].grid
+    search = make_identification([learn((small, BLUE), BARE)], settings)
+    search.observe(*images)
+    blank = search.targets[-1].grid
     blank.update(np.tile(bare, (20, 1)), np.ones(20), np.ones(20))
     assert np.hypot(*(blank.peaks(0.06, 1)[0][0] - bare)[:2]) < 0.01
-    red = of(looking.decide(*images), "object-1")[0]
+    red = of(search.decide(*images), "object-1")[0]
     assert red.found, red.reason
     assert red.confidence < 1.0
 
 
-def test_by_belief_found_is_what_the_mean_belief_says():
+def test_belief_decision_compares_mean_with_limit():
     decisions = decide(decision="belief")
     for item in decisions:
         assert item.found == (item.belief_mean > 0.5)
@@ -304,8 +306,8 @@ def test_by_belief_found_is_what_the_mean_belief_says():
     assert_not_found(of(decide(decision="belief", min_belief=0.999), "object-1"))
 
 
-def test_by_belief_a_contested_place_goes_to_the_fingerprint_that_is_believed_more():
-    sets = [with_fingerprints(alike(slice(0, 25)), LEARNED.fingerprints[0], LEARNED.fingerprints[1])]
+def test_belief_decision_gives_overlap_to_higher_belief():
+    sets = [with_fingerprints(copy_of_red(slice(0, 25)), LEARNED.fingerprints[0], LEARNED.fingerprints[1])]
     decisions = identify(stream(), sets, replace(SETTINGS, decision="belief", min_belief=0.3))
     claims = of(decisions, "object-1") + of(decisions, "object-3")
     here = [item for item in claims if np.hypot(*(item.pose[:2] - HERE[:2])) < 0.03]
@@ -316,28 +318,28 @@ def test_by_belief_a_contested_place_goes_to_the_fingerprint_that_is_believed_mo
     assert other.reason == f"{winner.fingerprint} fits better there"
 
 
-def test_by_belief_no_views_are_needed():
+def test_belief_decision_needs_no_views():
     states, images = stream()
-    looking = make_identification(settings=replace(SETTINGS, decision="belief", min_belief=0.3))
-    looking.observe(states, images)
-    red = of(looking.decide(states[:0], images[:0]), "object-1")[0]
+    search = make_identification(settings=replace(SETTINGS, decision="belief", min_belief=0.3))
+    search.observe(states, images)
+    red = of(search.decide(states[:0], images[:0]), "object-1")[0]
     assert red.found
     assert red.views == 0
 
 
 @pytest.mark.parametrize(("key", "value"), [("width", 46), ("height", 44), ("field_of_view", 31.0), ("distance", 0.31)])
-def test_images_of_another_camera_are_refused_by_the_key(key, value):
-    match = rf"session learned was trained with camera/{key} = .*, the images have {value}"
+def test_camera_mismatch_names_key(key, value):
+    match = rf"camera mismatch: session learned was trained with camera/{key} = .*, the images have {value}"
     with pytest.raises(ConfigError, match=match):
         make_identification(camera=replace(CAMERA, **{key: value}))
 
 
-def test_a_camera_that_differs_in_nothing_that_is_seen_is_taken():
+def test_irrelevant_camera_settings_may_differ():
     assert isinstance(CAMERA, CameraConfig)
-    assert len(make_identification(camera=replace(CAMERA, max_age=9.0)).sought) == 3
+    assert len(make_identification(camera=replace(CAMERA, max_age=9.0)).targets) == 3
 
 
-def test_fingerprints_of_two_sessions_are_found_in_one_stream_each_by_its_own_model():
+def test_two_sessions_searched_independently_in_one_stream():
     reds, greens = learn((RED,), BARE, session="a"), learn((GREEN, BLUE), session="b")
     images = stream((put(RED, HERE), put(GREEN, THERE)))
     together = identify(images, [reds, greens])
@@ -352,52 +354,52 @@ def test_fingerprints_of_two_sessions_are_found_in_one_stream_each_by_its_own_mo
             assert (same.found, same.confidence, same.belief_mean) == (item.found, item.confidence, item.belief_mean)
 
 
-def test_fingerprints_of_different_models_may_claim_the_same_place():
+def test_models_may_claim_same_place():
     decisions = identify(stream(), [LEARNED, replace(LEARNED, session="again")])
     for session in ("learned", "again"):
         assert_found(of(decisions, "object-1", session), [HERE])
 
 
-def test_a_set_without_fingerprints_is_looked_for_in_vain():
+def test_empty_set_gives_no_decisions():
     assert identify(stream(), [replace(LEARNED, fingerprints=())]) == []
 
 
 def same(one, other):
-    """Whether two decisions are equal to the last bit."""
+    """Return whether two decisions are bit-identical."""
     fields = [{**vars(item), "pose": item.pose.tolist()} for item in (one, other)]
     return fields[0] == fields[1]
 
 
-def test_the_same_stream_gives_the_same_decisions():
+def test_decisions_are_deterministic():
     again = identify(stream())
     assert len(again) == len(decide()) == 3
     assert all(same(*pair) for pair in zip(again, decide()))
 
 
-def test_it_makes_no_difference_in_which_parts_the_stream_comes():
+def test_result_independent_of_stream_chunks():
     states, images = stream()
-    looking = make_identification()
+    search = make_identification()
     for part in np.split(np.arange(len(states)), [1, 64, 65, 140]):
-        looking.observe(states[part], images[part])
-    assert looking.images == len(states)
-    for item, expected in zip(looking.decide(states, images), decide()):
+        search.observe(states[part], images[part])
+    assert search.images == len(states)
+    for item, expected in zip(search.decide(states, images), decide()):
         np.testing.assert_allclose(item.pose, expected.pose, atol=1e-9)
         assert (item.found, item.views, item.reason) == (expected.found, expected.views, expected.reason)
         assert item.belief_mean == pytest.approx(expected.belief_mean, rel=1e-9)
 
 
-def test_trace_holds_what_each_image_has_said_in_the_order_of_the_stream():
+def test_trace_holds_matches_in_stream_order():
     states, images = (array[:100] for array in stream())
-    looking = make_identification()
-    looking.observe(states, images)
-    for item, matches in zip(looking.sought, looking_at(states, images)):
+    search = make_identification()
+    search.observe(states, images)
+    for item, matches in zip(search.targets, matches_one_by_one(states, images)):
         for name in ("view", "distance", "value", "pose"):
             np.testing.assert_allclose(getattr(item.trace, name), getattr(matches, name), atol=1e-6)
         assert item.trace.pose.shape == (100, 3)
 
 
-def looking_at(states, images):
-    """What each fingerprint's matches are, image by image."""
+def matches_one_by_one(states, images):
+    """Yield each fingerprint's matches, computed image by image."""
     model = PaintedModel(LEARNED.config, LEARNED.weights)
     matcher = identification.Matcher(model, LEARNED.fingerprints, SETTINGS)
     parts = [matcher.match(states[index : index + 1], images[index : index + 1]) for index in range(len(states))]
@@ -409,24 +411,24 @@ def looking_at(states, images):
 
 
 @pytest.mark.parametrize(("evidence", "information"), [("tempered", 1 + 1 / 2 + 1 / 3 + 1 / 4), ("counted", 4.0)])
-def test_images_from_one_place_share_the_weight_of_one_unless_each_is_counted(evidence, information):
-    looking = make_identification(settings=replace(SETTINGS, evidence=evidence))
+def test_evidence_setting_weights_repeated_images(evidence, information):
+    search = make_identification(settings=replace(SETTINGS, evidence=evidence))
     states, images = np.tile(HERE, (4, 1)), paint(np.tile(HERE, (4, 1)), TWO, CAMERA)
-    looking.observe(states, images)
-    for item in looking.sought[:2]:
+    search.observe(states, images)
+    for item in search.targets[:2]:
         smallest = 1.0 / math.sqrt(0.5 + information / SETTINGS.near_variance)
         assert item.grid.std.min() == pytest.approx(smallest, rel=0.02)
 
 
-def test_each_image_is_encoded_once_by_each_model():
-    looking = make_identification()
-    model = looking.sought[0].verifier._model
+def test_each_model_encodes_image_once():
+    search = make_identification()
+    model = search.targets[0].verifier._model
     before = model.encoded
-    looking.observe(*(array[:70] for array in stream()))
+    search.observe(*(array[:70] for array in stream()))
     assert model.encoded - before == 70
 
 
-def test_pixels_point_to_where_things_are():
+def test_pixel_features_locate_objects():
     decisions = decide(features="pixels", decision="belief")
     for name, pose in (("object-1", HERE), ("object-2", THERE)):
         distance, turn = pose_distance(of(decisions, name)[0].pose, np.array(pose))

@@ -1,4 +1,4 @@
-"""The measurement: an image is like the stored view that shows the same, and says where the object would be then."""
+"""Measurement model: most similar stored view, its distance and the implied pose."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ POSES = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-math.pi
 
 
 class ImageLatents:
-    """A model whose latent is what the image shows, wherever it is told that the image was taken."""
+    """A model whose latent depends on the image only."""
 
     def __init__(self, of_image=None):
         self.of_image = of_image or (lambda image: image.reshape(-1, 3)[:4].astype(np.float32).ravel() / 10.0)
@@ -40,7 +40,7 @@ class ImageLatents:
 
 
 class StateLatents(ImageLatents):
-    """A model whose latent also depends on the state that the encoder is told."""
+    """A model whose latent depends on image and state."""
 
     def encode_pairs(self, states, features):
         return super().encode_pairs(states, features) + np.float32(1.0) * np.tile(states[:, :1], 12).astype(np.float32)
@@ -63,7 +63,7 @@ def random_fingerprint(name, views, seed, **fields):
 
 
 def from_latents(name, latents):
-    """A fingerprint of given latents (V, L), of which the images do not matter."""
+    """Return a fingerprint with given latents (V, L) and black images."""
     return make_fingerprint(name, np.zeros((len(latents), 3)), np.zeros((len(latents), 45, 45, 3), np.uint8), latents)
 
 
@@ -71,7 +71,7 @@ FIRST, SECOND = random_fingerprint("object-1", 6, 1), random_fingerprint("object
 
 
 @pytest.mark.parametrize("settings_", [LATENTS, BY_PIXELS])
-def test_a_stored_view_is_its_own_match_at_distance_0_with_value_088(settings_):
+def test_stored_view_matches_itself(settings_):
     matcher = Matcher(ImageLatents(), [FIRST, SECOND], settings_)
     for index, item in enumerate((FIRST, SECOND)):
         own = matcher.match(item.states, item.images)[index]
@@ -81,20 +81,20 @@ def test_a_stored_view_is_its_own_match_at_distance_0_with_value_088(settings_):
         np.testing.assert_allclose(own.pose, np.tile(item.centre, (len(item.states), 1)), atol=1e-12)
 
 
-def test_views_of_another_fingerprint_have_a_value_of_at_most_one_half():
+def test_other_fingerprints_views_have_value_below_half():
     matcher = Matcher(ImageLatents(), [FIRST, SECOND], LATENTS)
     values = np.concatenate(
         [matcher.match(FIRST.states, FIRST.images)[1].value, matcher.match(*states_of(SECOND))[0].value]
     )
     assert values.max() == pytest.approx(0.5, abs=1e-4)
-    assert np.sum(values > 0.499) == 2  # the two views between which the smallest distance is
+    assert np.sum(values > 0.499) == 2  # the pair of views with the smallest distance
 
 
 def states_of(item):
     return item.states, item.images
 
 
-def test_threshold_is_the_smallest_distance_between_views_of_different_fingerprints():
+def test_threshold_is_smallest_distance_between_fingerprints():
     one, other, third = [[0, 0], [0, 1]], [[3, 5], [3, 9]], [[-10, 1], [-10, 0.5]]
     matcher = Matcher(
         ImageLatents(), [from_latents(f"object-{i}", x) for i, x in enumerate((one, other, third))], LATENTS
@@ -103,17 +103,17 @@ def test_threshold_is_the_smallest_distance_between_views_of_different_fingerpri
     assert matcher.largest == pytest.approx(math.hypot(13, 8.5))
 
 
-def test_threshold_of_a_single_fingerprint_is_the_smallest_distance_between_its_own_views():
+def test_single_fingerprint_threshold_uses_own_views():
     matcher = Matcher(ImageLatents(), [from_latents("object-1", [[0, 0], [0, 3], [8, 3]])], LATENTS)
     assert matcher.threshold == pytest.approx(3.0)
     assert matcher.largest == pytest.approx(math.hypot(8, 3))
 
 
-def test_value_falls_with_the_distance_through_one_half_at_the_threshold():
+def test_value_decreases_through_half_at_threshold():
     matcher = Matcher(
         ImageLatents(), [from_latents("object-1", [[0.0]]), from_latents("object-2", [[2.0], [7.0]])], LATENTS
     )
-    # Between threshold 2 and largest 7: half a tanh on either side, as wide as 2 and as 2 * 7 - 2.
+    # Threshold 2, largest distance 7: widths are 2 below and 2 * 7 - 2 above the threshold.
     distances = np.array([0.0, 1.0, 2.0, 8.0, 14.0])
     expected = 0.5 + 0.5 * np.tanh([1.0, 0.5, 0.0, -0.5, -1.0])
     np.testing.assert_allclose(matcher.value(distances), expected, atol=1e-6)
@@ -121,21 +121,22 @@ def test_value_falls_with_the_distance_through_one_half_at_the_threshold():
     assert np.all(matcher.value(np.linspace(0.0, 30.0, 300)) > 0.0)
 
 
-def test_values_stay_finite_when_views_of_two_fingerprints_are_equal():
+def test_value_is_finite_for_equal_fingerprints():
     matcher = Matcher(ImageLatents(), [from_latents("object-1", [[1.0]]), from_latents("object-2", [[1.0]])], LATENTS)
     values = matcher.value(np.array([0.0, 1e-12, 1.0, 100.0]))
     assert np.all((values >= 0.0) & (values <= 1.0))
     assert values[0] == pytest.approx(0.88, abs=0.01)
 
 
-def test_single_view_is_refused_and_two_fingerprints_of_one_view_each_are_not():
+def test_single_view_of_single_fingerprint_is_rejected():
+    """Two fingerprints with one view each are valid."""
     one, other = (random_fingerprint(f"object-{seed}", 1, seed) for seed in (1, 2))
-    with pytest.raises(ObservationError, match="a single view leaves nothing to tell"):
+    with pytest.raises(ObservationError, match="the only fingerprint has a single view"):
         Matcher(ImageLatents(), [one], LATENTS)
     assert Matcher(ImageLatents(), [one, other], LATENTS).match(*states_of(one))[0].value[0] > 0.87
 
 
-def test_distance_is_between_the_stored_latent_and_that_of_the_image_at_the_stored_state():
+def test_image_is_encoded_at_stored_state():
     model, at = StateLatents(), np.array([[0.9, 0.0, 0.0]])
     items = [FIRST, SECOND]
     found = Matcher(model, items, LATENTS).match(at, random_images(1, 9))
@@ -148,8 +149,8 @@ def test_distance_is_between_the_stored_latent_and_that_of_the_image_at_the_stor
 
 @settings(max_examples=30, deadline=None)
 @given(POSES, st.integers(0, 2**31 - 1))
-def test_pose_of_an_object_that_was_moved_is_found_exactly(goal, seed):
-    """The camera looks at the moved object as it once looked at the stored one: the images are the same."""
+def test_pose_of_moved_object_is_exact(goal, seed):
+    """The camera moves with the object, so the images are identical."""
     origin = FIRST.centre
     order = np.random.default_rng(seed).permutation(len(FIRST.states))
     states = move(FIRST.states[order], origin, goal)
@@ -161,7 +162,7 @@ def test_pose_of_an_object_that_was_moved_is_found_exactly(goal, seed):
 
 
 @pytest.mark.parametrize("settings_", [LATENTS, BY_PIXELS])
-def test_an_image_is_encoded_once_for_all_fingerprints_and_not_at_all_for_pixels(settings_):
+def test_image_encoded_once_or_never_for_pixels(settings_):
     model = ImageLatents()
     matcher = Matcher(model, [FIRST, SECOND], settings_)
     assert model.features == model.pairs == 0
@@ -170,8 +171,8 @@ def test_an_image_is_encoded_once_for_all_fingerprints_and_not_at_all_for_pixels
     assert (model.features, model.pairs) == ((3, 3 * 10) if settings_ is LATENTS else (0, 0))
 
 
-def test_pixels_find_the_moved_object_without_a_model():
-    """Two painted things that differ in colour are told apart, and where each stands is read from the images alone."""
+def test_pixel_features_need_no_model():
+    """Two things of different colours are distinguished and located by their pixels alone."""
     random, items = np.random.default_rng(0), []
     for name, thing in (("object-1", RED), ("object-2", BLUE)):
         states = random.normal(thing.pose, (0.015, 0.015, 1.0), (40, 3))
@@ -186,16 +187,16 @@ def test_pixels_find_the_moved_object_without_a_model():
     assert middle[2] == pytest.approx(1.6, abs=0.3)
 
 
-def test_pixels_are_means_of_the_image_in_colours_from_0_to_1():
+def test_pixel_features_are_area_means():
     grey = np.zeros((1, 60, 60, 3), np.uint8)
     other = grey.copy()
-    other[0, 1:2, :4] = 255  # half of two pixels of the small picture
+    other[0, 1:2, :4] = 255  # half of two pixels of the downscaled image
     items = [make_fingerprint(f"object-{i}", np.zeros((1, 3)), images) for i, images in enumerate((grey, other))]
     assert PIXELS == 30
     assert Matcher(None, items, BY_PIXELS).threshold == pytest.approx(math.sqrt(2 * 3 * 0.25), rel=0.01)
 
 
-def test_what_is_said_has_the_documented_types():
+def test_matches_have_documented_dtypes():
     matches = Matcher(ImageLatents(), [FIRST], LATENTS).match(np.zeros((2, 3)), random_images(2))[0]
     assert (matches.view.dtype, matches.distance.dtype) == (np.int32, np.float32)
     assert (matches.value.dtype, matches.pose.dtype) == (np.float32, np.float64)

@@ -1,4 +1,4 @@
-"""Views of an object chosen from what was stored: around it, different, enough or said to be too few."""
+"""Selection of views from stored observations."""
 
 from types import SimpleNamespace
 
@@ -21,50 +21,50 @@ def stored(count, seed=0):
     return states, np.arange(count, dtype=np.uint8)[:, None, None, None] * np.ones((1, 2, 3, 3), np.uint8)
 
 
-def choose(states, images, seed=0, config=CONFIG, centre=CENTRE):
+def select(states, images, seed=0, config=CONFIG, centre=CENTRE):
     return StoredViews(config, centre, seed, states, images)
 
 
-def test_views_lie_around_the_centre_as_an_arm_would_spread_them():
-    views = choose(*stored(20000))
+def test_stored_views_follow_view_density():
+    views = select(*stored(20000))
     away = views.states[:, :2] - CENTRE[:2]
     assert views.complete
     assert np.abs(away).max() <= CONFIG.fingerprint.view_box
     np.testing.assert_allclose(away.std(axis=0), CONFIG.fingerprint.view_std, rtol=0.3)
     np.testing.assert_allclose(away.mean(axis=0), 0.0, atol=0.006)
-    assert views.states[:, 2].std() > 0.9, "from all sides"
+    assert views.states[:, 2].std() > 0.9, "views do not cover the yaw range"
 
 
-def test_each_view_has_the_image_that_was_taken_there():
+def test_stored_views_pair_state_with_image():
     states, images = stored(200)
-    views = choose(states, images, config=Config.from_dict({"fingerprint": {"views": 10}}))
+    views = select(states, images, config=Config.from_dict({"fingerprint": {"views": 10}}))
     for state, image in zip(views.states, views.images):
         np.testing.assert_array_equal(images[np.flatnonzero((states == state).all(axis=1))[0]], image)
 
 
-def test_no_view_is_taken_twice_though_it_was_stored_twice():
+def test_stored_views_exclude_duplicates():
     states, images = stored(400)
-    near = choose(*stored(400)).states
-    assert not choose(np.repeat(near[:20], 5, axis=0), np.repeat(images[:20], 5, axis=0)).complete
-    views = choose(np.repeat(states, 3, axis=0), np.repeat(images, 3, axis=0))
+    near = select(*stored(400)).states
+    assert not select(np.repeat(near[:20], 5, axis=0), np.repeat(images[:20], 5, axis=0)).complete
+    views = select(np.repeat(states, 3, axis=0), np.repeat(images, 3, axis=0))
     for index, state in enumerate(views.states):
         distance, turn = pose_distance(np.delete(views.states, index, axis=0), state)
         settings = CONFIG.fingerprint
         assert not np.any((distance < settings.min_view_distance) & (turn < settings.min_view_turn))
 
 
-def test_one_seed_gives_one_choice_and_another_one_another():
+def test_stored_views_depend_on_seed_only():
     states, images = stored(5000)
-    np.testing.assert_array_equal(choose(states, images).states, choose(states, images).states)
-    assert not np.array_equal(choose(states, images).states, choose(states, images, seed=1).states)
+    np.testing.assert_array_equal(select(states, images).states, select(states, images).states)
+    assert not np.array_equal(select(states, images).states, select(states, images, seed=1).states)
 
 
-def test_too_few_stored_views_are_said_to_be_too_few():
+def test_too_few_stored_views_raise():
     run = FingerprintRun.__new__(FingerprintRun)
     run._config, run._from_stored = CONFIG, True
     run.clustering = SimpleNamespace(clusters=[SimpleNamespace(kind="object")])
-    run.collections = [choose(*stored(60))]
+    run.collections = [select(*stored(60))]
     expected = r"object-1: only \d+ of fingerprint/views \(50\) different views are stored within fingerprint/view_box"
     with pytest.raises(ObservationError, match=expected):
         run.require_complete("object-1")
-    assert len(choose(np.empty((0, 3)), np.empty((0, 2, 3, 3), np.uint8)).states) == 0
+    assert len(select(np.empty((0, 3)), np.empty((0, 2, 3, 3), np.uint8)).states) == 0

@@ -519,16 +519,16 @@ def test_set_file_that_was_changed_is_refused_by_field(session, field, value, me
     ("field", "value", "message"),
     [
         ("session", "../x", "session of the fingerprints is '../x'"),
-        ("updates", -1, "updates is -1"),
-        ("updates", "9000", "updates is '9000'"),
-        ("observations", 1.5, "observations is 1.5"),
-        ("created", "yesterday", "created is 'yesterday'"),
+        ("updates", -1, "invalid updates -1"),
+        ("updates", "9000", "invalid updates '9000'"),
+        ("observations", 1.5, "invalid observations 1.5"),
+        ("created", "yesterday", "invalid created 'yesterday'"),
         ("names", "object-1", "names is 'object-1', expected a list"),
         ("names", ["../x"], "one of names is '../x'"),
         ("names", ["/etc"], "one of names is '/etc'"),
         ("names", [".."], "one of names is '..'"),
         ("names", [1], "one of names is '1'"),
-        ("names", ["object-1", "object-1"], "names of fingerprints are object-1, object-1"),
+        ("names", ["object-1", "object-1"], "duplicate fingerprint name in object-1, object-1"),
     ],
 )
 def test_set_with_illegal_facts_is_refused_though_its_checksum_is_right(session, field, value, message):
@@ -551,10 +551,10 @@ def test_set_with_illegal_facts_is_refused_though_its_checksum_is_right(session,
         ({"latent_stds": None}, {}, "latent_stds is missing"),
         ({"more": torch.zeros(1)}, {}, "'more' is no field"),
         ({}, {"name": "object-2"}, "name is 'object-2', expected 'object-1'"),
-        ({}, {"kind": "thing"}, "object-1: kind is 'thing'"),
-        ({}, {"importance": "1"}, "object-1: importance is '1'"),
-        ({}, {"importance": 2.0}, "object-1: importance is 2.0"),
-        ({}, {"importance": None}, "object-1: importance is None"),
+        ({}, {"kind": "thing"}, "object-1: invalid kind 'thing'"),
+        ({}, {"importance": "1"}, "object-1: importance '1'"),
+        ({}, {"importance": 2.0}, "object-1: importance 2.0"),
+        ({}, {"importance": None}, "object-1: importance None"),
         ({}, {"more": 1}, "'more' is no field"),
     ],
 )
@@ -570,7 +570,7 @@ def test_fingerprint_that_is_none_is_refused_though_its_checksum_is_right(sessio
 def test_set_that_no_longer_fits_the_session_is_refused(session):
     save_fingerprints(session, make_set())
     write_description(session / "config.yaml", replace(CONFIG, model=replace(CONFIG.model, latent_size=5)))
-    with pytest.raises(CorruptFileError, match=r"set.yaml: object-1: latent_means has 2 latent variables, but"):
+    with pytest.raises(CorruptFileError, match=r"set.yaml: object-1: made with 2 latents but"):
         load_fingerprints(session)
 
 

@@ -28,7 +28,7 @@ from embodied_active_learning.figures.views import (
     show_extent,
 )
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.objects.identification import Decision
+from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.workspace import Workspace
 
 # Everything has its place in inches: to find one for 60 maps would take matplotlib half a minute.

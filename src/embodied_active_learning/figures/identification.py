@@ -9,7 +9,8 @@ from embodied_active_learning.figures.beliefs import BeliefPanel, draw_beliefs
 from embodied_active_learning.figures.mosaic import top_view
 from embodied_active_learning.figures.trace import draw_trace
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.objects.identification import Decision, SearchTarget
+from embodied_active_learning.objects.decision import Decision, decisions_about
+from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.pipeline.identification import IdentificationRun
 
 MOST_TRACES = 12
@@ -25,12 +26,12 @@ def draw_identification(
     """
     workspace = run.config.workspace.box()
     view = top_view(run.pictures, run.states, run.config.camera, workspace)
-    panels = [_panel(item, decisions) for item in run.identification.sought]
+    panels = [_panel(item, decisions) for item in run.identification.targets]
     paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, objects)]
-    for item in run.identification.sought[:MOST_TRACES]:
+    for item in run.identification.targets[:MOST_TRACES]:
         name = f"{item.session}/{item.fingerprint.name}"
         path = run.folder / f"trace-{item.session}-{item.fingerprint.name}.png"
-        own = item.own(decisions)
+        own = decisions_about(decisions, item.session, item.fingerprint.name)
         trace = item.trace
         paths.append(
             draw_trace(path, name, trace, run.states, run.pictures, item.fingerprint, item.threshold, own, objects)
@@ -47,5 +48,5 @@ def _panel(item: SearchTarget, decisions: Sequence[Decision]) -> BeliefPanel:
         item.grid.y,
         mean,
         std,
-        item.own(decisions),
+        decisions_about(decisions, item.session, item.fingerprint.name),
     )

@@ -36,8 +36,8 @@ from embodied_active_learning.figures.views import (
     show_extent,
 )
 from embodied_active_learning.geometry import Location, pose_distance
+from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
-from embodied_active_learning.objects.identification import Decision
 from embodied_active_learning.objects.matching import Matches
 
 NEXT_TO = 0.03

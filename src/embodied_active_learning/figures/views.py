@@ -16,8 +16,8 @@ from matplotlib.patches import Rectangle
 from embodied_active_learning.figures.mosaic import TopView
 from embodied_active_learning.figures.style import MAP_COLOURS, MEDIUM, SMALL, UNSEEN, colour, label, quiet
 from embodied_active_learning.geometry import Location
+from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.identification import Decision
 from embodied_active_learning.workspace import Workspace
 
 Extent = Tuple[float, float, float, float]  # m: lowest x, highest x, lowest y, highest y

@@ -1,1 +1,1 @@
-"""Learned objects: where they are, what they look like, and where they are found again."""
+"""Learned objects: clustering, fingerprints, belief grids, and the decision where each object is found again."""

@@ -1,4 +1,8 @@
-"""Belief grids: how likely a fingerprint's object is at each planar pose (paper, appendix, object identification)."""
+"""Belief grids: how likely a fingerprint's object is present at each planar pose.
+
+Paper, appendix "Object Identification": a regular grid with a mean and a standard deviation at each point, updated for
+each image by Bayes' rule.
+"""
 
 from __future__ import annotations
 
@@ -16,28 +20,35 @@ from embodied_active_learning.workspace import Workspace
 _PRIOR_MEAN = 0.5
 _PRIOR_VARIANCE = 2.0
 _BATCH = 16
-"""Measurements that are laid over the grid at a time: few enough to stay in the cache."""
+"""Measurements per matrix product: few enough to stay in the CPU cache."""
 
 
 class Peak(NamedTuple):
-    """A local maximum of a belief."""
+    """A local maximum of a belief.
 
-    pose: np.ndarray  # (3,) m, m, rad
+    Attributes:
+        pose: (3,) x [m], y [m], theta [rad].
+        mean: Mean belief at the peak, 0 to 1.
+        std: Standard deviation of the belief at the peak.
+        prominence: Mean minus the median over all grid points in x and y, each at its best yaw.
+    """
+
+    pose: np.ndarray
     mean: float
     std: float
-    rise: float  # of the mean above the median of all places, each at its best yaw
+    prominence: float
 
 
 class BeliefGrid:
-    """Mean and standard deviation at the middle of each cell, over x, y and the full circle of yaw.
+    """Mean and standard deviation at the centre of each cell, over x, y and the full circle of yaw.
 
-    A measurement m of variance r(s) is a Gaussian likelihood at each cell s, and Bayes' rule multiplies it to what the
-    cell believes. Kept as information (1 / variance, mean / variance) it is a sum: the order of images does not
-    matter.
+    A measurement m with variance r(s) is a Gaussian likelihood at each cell s, and Bayes' rule multiplies it with the
+    cell's Gaussian belief. In information form (1 / variance, mean / variance) the update is a sum, so the order of
+    images does not matter.
     """
 
     def __init__(self, workspace: Workspace, settings: IdentificationConfig) -> None:
-        """A grid over the workspace and its margin, at the prior."""
+        """Create a grid over the workspace and its margin [m] at the prior: mean 0.5, variance 2."""
         self._settings = settings
         nx, ny, nyaw = settings.cells
         lower, upper = (np.asarray(limit[:2]) for limit in (workspace.lower, workspace.upper))
@@ -50,46 +61,56 @@ class BeliefGrid:
 
     @property
     def mean(self) -> np.ndarray:
-        """(nx, ny, nyaw) in [0, 1]."""
+        """(nx, ny, nyaw) mean belief in [0, 1]."""
         return self._weighted / self._information
 
     @property
     def std(self) -> np.ndarray:
-        """(nx, ny, nyaw)."""
+        """(nx, ny, nyaw) standard deviation of the belief."""
         return 1.0 / np.sqrt(self._information)
 
     def update(self, poses: np.ndarray, values: np.ndarray, weights: np.ndarray) -> None:
-        """Measurements (N,) in [0, 1] that point to poses (N, 3) [m, m, rad]; a weight of 1/2 halves the information.
+        """Update the belief with N measurements (Paper, appendix "Object Identification", steps 3 and 4).
 
-        The variance rises from near_variance at the pose to that over far_pull where the footprint K ends:
-        r = far + K (near - far). The authors let K reach 1 at the border cell next to a pose outside of the grid; here
-        the footprint only reaches in as far as it does.
+        The variance rises from `near_variance` at the measured pose to `near_variance / far_pull` outside the Gaussian
+        footprint K: r = far + K (near - far). In the authors' code, K is 1 at the border cell nearest to a pose outside
+        the grid; here K keeps its value there.
+
+        Args:
+            poses: (N, 3) measured object poses [m, m, rad].
+            values: (N,) measurements in [0, 1].
+            weights: (N,) factors of the information, 1 for an independent image.
         """
         settings = self._settings
         ratio = 1.0 / settings.far_pull
-        # The cell next to a pose on the grid takes the measurement in full, wherever in the cell the pose lies.
-        full = self._covers(poses)
-        along_x = torch.from_numpy(_footprints(self.x - poses[:, :1], settings.kernel_std, full))
-        along_y = torch.from_numpy(_footprints(self.y - poses[:, 1:2], settings.kernel_std, full))
-        along_yaw = torch.from_numpy(_footprints(wrap(self.yaw - poses[:, 2:]), settings.kernel_yaw_std, full))
+        # K is 1 in the cell that contains the pose, wherever in the cell the pose lies.
+        inside = self._covers(poses)
+        along_x = torch.from_numpy(_footprints(self.x - poses[:, :1], settings.kernel_std, inside))
+        along_y = torch.from_numpy(_footprints(self.y - poses[:, 1:2], settings.kernel_std, inside))
+        along_yaw = torch.from_numpy(_footprints(wrap(self.yaw - poses[:, 2:]), settings.kernel_yaw_std, inside))
         shares = torch.from_numpy(np.stack([weights, weights * values]) / settings.near_variance)
         sums = torch.zeros((2, self._information.size), dtype=torch.float64)
         for begin in range(0, len(poses), _BATCH):
             part = slice(begin, begin + _BATCH)
             plane = (1.0 - ratio) * along_x[part, :, None] * along_y[part, None, :]
-            variances = (plane.flatten(1)[..., None] * along_yaw[part, None, :]).add_(ratio)  # 1 is near_variance
+            variances = (plane.flatten(1)[..., None] * along_yaw[part, None, :]).add_(ratio)  # of near_variance
             sums.addmm_(shares[:, part], variances.reciprocal_().flatten(1))
         self._information += sums[0].numpy().reshape(self._information.shape)
         self._weighted += sums[1].numpy().reshape(self._information.shape)
 
     def over_yaw(self) -> Tuple[np.ndarray, np.ndarray]:
-        """Largest mean over yaw at each place, and the standard deviation there. -> (nx, ny), (nx, ny)."""
+        """Return the largest mean over yaw (nx, ny) and its standard deviation (nx, ny)."""
         mean = self.mean
         best = mean.argmax(axis=2)[..., None]
         return np.take_along_axis(mean, best, 2)[..., 0], np.take_along_axis(self.std, best, 2)[..., 0]
 
     def peaks(self, distance: float, most: int) -> List[Peak]:
-        """Local maxima inside the workspace, the highest first. No two are closer than a distance [m]."""
+        """Return local maxima inside the workspace, highest first.
+
+        Args:
+            distance: Smallest distance [m] between two peaks.
+            most: Largest number of peaks.
+        """
         mean = self.mean
         inside = self._workspace.contains(
             np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), 0.0 * mean[..., 0]], -1)
@@ -111,45 +132,47 @@ class BeliefGrid:
                 break
         return found
 
-    def yaws(self, pose: np.ndarray, most: int) -> List[float]:
-        """Local maxima of the mean over yaw [rad] in the cell of a pose (3,), the highest first."""
+    def yaw_peaks(self, pose: np.ndarray, most: int) -> List[float]:
+        """Return yaws [rad] of local maxima in the cell of a pose (3,), highest first; its own yaw if there is none."""
         row, column = np.abs(self.x - pose[0]).argmin(), np.abs(self.y - pose[1]).argmin()
         mean = self._weighted[row, column] / self._information[row, column]
         top = np.flatnonzero((mean >= np.roll(mean, 1)) & (mean > np.roll(mean, -1)))
         return [float(self.yaw[index]) for index in top[np.argsort(-mean[top], kind="stable")][:most]] or [pose[2]]
 
     def _covers(self, poses: np.ndarray) -> np.ndarray:
-        """(N,) which of the poses (N, 3) lie on the grid."""
+        """Whether each of the poses (N, 3) lies on the grid: (N,) bool."""
         x, y = poses[:, 0], poses[:, 1]
         return (self.x[0] <= x) & (x <= self.x[-1]) & (self.y[0] <= y) & (y <= self.y[-1])
 
 
 class EvidenceWeights:
-    """How much each image of a stream counts: those from one place share the weight of one.
+    """Weights of the images of a stream: images from one camera state share the weight of one image.
 
-    The first image of a place counts fully, the n-th one as 1/n: images along a trajectory are not independent.
+    Images along a trajectory are not independent, so the n-th image from the same state has weight 1/n. The paper does
+    not mention such a weight; `identification/evidence: counted` sets all weights to 1.
     """
 
     def __init__(self, settings: IdentificationConfig) -> None:
+        """Start a stream."""
         self._settings = settings
-        self._seen = np.empty((0, 3))
+        self._states = np.empty((0, 3))
 
-    def of(self, states: np.ndarray) -> np.ndarray:
-        """Weights (N,) of the next images of the stream, from states (N, 3) [m, m, rad]."""
-        before, settings = len(self._seen), self._settings
-        self._seen = np.concatenate([self._seen, states])
+    def update(self, states: np.ndarray) -> np.ndarray:
+        """Return the weights (N,) of the stream's next images, taken from states (N, 3) [m, m, rad]."""
+        before, settings = len(self._states), self._settings
+        self._states = np.concatenate([self._states, states])
         if settings.evidence == "counted":
             return np.ones(len(states))
         weights = np.empty(len(states))
         for index, state in enumerate(states):
-            change = self._seen[: before + index + 1] - state
+            change = self._states[: before + index + 1] - state
             near = np.square(change[:, :2] / settings.independence_distance).sum(axis=1)
             near += np.square(wrap(change[:, 2]) / settings.independence_turn)
             weights[index] = 1.0 / np.exp(-0.5 * near).sum()
         return weights
 
 
-def _footprints(away: np.ndarray, std: float, full: np.ndarray) -> np.ndarray:
-    """Gaussians of distances (N, C) along one axis; full (N,): where the largest value is made 1."""
-    energy = 0.5 * np.square(away / std)
-    return np.exp(np.where(full, energy.min(axis=1), 0.0)[:, None] - energy)
+def _footprints(offsets: np.ndarray, std: float, inside: np.ndarray) -> np.ndarray:
+    """Gaussians of offsets (N, C) along one axis, scaled to a maximum of 1 where `inside` (N,) is true."""
+    energy = 0.5 * np.square(offsets / std)
+    return np.exp(np.where(inside, energy.min(axis=1), 0.0)[:, None] - energy)

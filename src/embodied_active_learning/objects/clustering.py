@@ -1,4 +1,8 @@
-"""Where the learned objects are: mean-shift clusters of what is hard to predict (paper, appendix, fingerprinting)."""
+"""Locations of the learned objects: mean-shift clusters of conditional-entropy samples.
+
+Paper, appendix "Object Fingerprinting": importance sampling of the conditional entropy, then mean-shift clustering;
+"blank" regions are valid objects.
+"""
 
 from __future__ import annotations
 
@@ -18,77 +22,109 @@ from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
 
-_POOL = 20
-"""Uniform states for each importance sample."""
-_PIXELS = 4
-"""Points of the table drawn for each importance sample."""
-_STRIDE = 4
-"""Pixels between those that are drawn from."""
+_PROPOSALS_PER_SAMPLE = 20
+"""Uniformly drawn states per importance sample."""
+_PIXELS_PER_SAMPLE = 4
+"""Table points drawn per importance sample."""
+_PIXEL_STRIDE = 4
+"""Table points are drawn from every fourth row and column of an image."""
 _BLANK_SHARE = 0.2
-"""Share of the workspace, the easiest to predict, in which the blank region is sought."""
+"""Share of the workspace, with the lowest entropy, in which the blank region is searched."""
 _BLANK_BANDWIDTH = 0.06  # m
-_LEAST_BACKGROUND = 20
-"""Images that the table's colour is taken from, at least."""
+_LEAST_BACKGROUND_IMAGES = 20
 _BACKGROUND_SHARE = 0.1
+"""Share of the images, with the lowest entropy, that the table's colour is fitted to."""
+_CONTRAST_QUANTILES = (0.001, 0.999)
+"""Quantiles that stand for the smallest and the largest predicted standard deviation."""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """One learned object, or the blank region."""
+    """A learned object, or the blank region.
+
+    Attributes:
+        kind: OBJECT or BLANK.
+        centre: (3,) x [m], y [m], theta [rad] in the base frame.
+        share: Share of the importance samples in the cluster; of the lowest-entropy states for a blank region.
+    """
 
     kind: str
-    centre: np.ndarray  # (3,) m, m, rad
-    share: float  # of the importance samples; of the workspace's easiest states for a blank
+    centre: np.ndarray
+    share: float
 
 
 @dataclass(frozen=True)
 class Clustering:
-    """What the conditional entropy says about the workspace."""
+    """Clusters of the conditional entropy over the workspace.
 
-    contrast: float  # largest over smallest predicted standard deviation
-    flat: bool  # so even that there is nothing to find: no clusters then
-    clusters: Tuple[Cluster, ...]  # objects, the largest share first, then one blank
-    unreachable: Tuple[Cluster, ...]  # objects whose centre the camera cannot come over
+    Attributes:
+        contrast: Largest over smallest predicted standard deviation.
+        flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
+        clusters: Objects, largest share first, then one blank region.
+        unreachable: Objects over whose centre the camera cannot be moved.
+    """
+
+    contrast: float
+    flat: bool
+    clusters: Tuple[Cluster, ...]
+    unreachable: Tuple[Cluster, ...]
 
 
 def find_objects(model: TrainedModel, states: np.ndarray, images: np.ndarray, config: Config, seed: int) -> Clustering:
-    """Cluster the importance samples of the conditional entropy, averaged over latents of observations drawn at random.
+    """Cluster importance samples of the conditional entropy, averaged over the latents of randomly drawn observations.
 
-    states: (N, 3) [m, m, rad] and images: (N, H, W, 3) uint8 that the model learned from. One seed gives one result.
+    Paper, appendix "Object Fingerprinting". The weight of a state is proportional to the conditional entropy
+    distribution exp(H)^k (Paper, Sec. "Control Formulation"), where exp(H) is proportional to the predicted standard
+    deviation and k is `fingerprint/exponent`. The paper clusters the camera states (`fingerprint/clustering: camera`).
+    The default, `table`, clusters table points of foreground pixels instead, which assumes more than the paper does: a
+    camera that looks straight down from a known height with a known field of view, and a table whose colours are
+    roughly Gaussian.
+
+    Args:
+        model: The model of the session.
+        states: (N, 3) x [m], y [m], theta [rad] of the observations the model learned from.
+        images: (N, H, W, 3) uint8, the images of these observations.
+        config: The session's configuration.
+        seed: One seed gives one result.
     """
     settings, random = config.fingerprint, generator(seed, Stream.CLUSTERING)
     chosen = np.sort(random.choice(len(states), min(settings.latents, len(states)), replace=False))
     latents, _ = model.encode(states[chosen], images[chosen])
-    box = config.workspace.box()
-    pool = random.uniform(box.lower, box.upper, (_POOL * settings.samples, box.size))
-    std = np.exp(model.log_std(latents, pool)).mean(axis=0)
-    low, high = np.quantile(std, (0.001, 0.999))
+    workspace = config.workspace.box()
+    proposals = random.uniform(
+        workspace.lower, workspace.upper, (_PROPOSALS_PER_SAMPLE * settings.samples, workspace.size)
+    )
+    std = np.exp(model.log_std(latents, proposals)).mean(axis=0)
+    low, high = np.quantile(std, _CONTRAST_QUANTILES)
     contrast = float(high / low)
     if contrast < settings.min_contrast:
         return Clustering(contrast, True, (), ())
     weights = (std / std.max()) ** settings.exponent
-    samples = pool[random.choice(len(pool), settings.samples, p=weights / weights.sum())]
+    samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
-        points, yaws, drawn = samples[:, :2], samples[:, 2], len(samples)
+        objects = _cluster(samples[:, :2], samples[:, 2], len(samples), settings, workspace)
     else:
-        seen_std = np.exp(model.log_std(latents, states)).mean(axis=0)
-        easiest = np.argsort(seen_std)[: max(_LEAST_BACKGROUND, int(_BACKGROUND_SHARE * len(states)))]
-        points, yaws = _salient_points(samples, states, images, Background(images[easiest]), config, random)
-        drawn = _PIXELS * len(samples)
-    objects = _cluster(points, yaws, drawn, settings, box)
-    reachable = [bool(np.abs((box.clip(c.centre) - c.centre)[:2]).max() <= settings.view_std) for c in objects]
+        background = _background(model, latents, states, images)
+        points, yaws = _foreground_points(samples, states, images, background, config, random)
+        objects = _cluster(points, yaws, _PIXELS_PER_SAMPLE * len(samples), settings, workspace)
+    reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
+    blank = _blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])
     return Clustering(
         contrast,
         False,
-        (
-            *(found for found, within in zip(objects, reachable) if within),
-            *_blank(pool[std <= np.quantile(std, _BLANK_SHARE)]),
-        ),
-        tuple(found for found, within in zip(objects, reachable) if not within),
+        (*(cluster for cluster, within in zip(objects, reachable) if within), blank),
+        tuple(cluster for cluster, within in zip(objects, reachable) if not within),
     )
 
 
-def _salient_points(
+def _background(model: TrainedModel, latents: np.ndarray, states: np.ndarray, images: np.ndarray) -> Background:
+    """Fit the table's colour to the images with the lowest conditional entropy."""
+    std = np.exp(model.log_std(latents, states)).mean(axis=0)
+    count = max(_LEAST_BACKGROUND_IMAGES, int(_BACKGROUND_SHARE * len(states)))
+    return Background(images[np.argsort(std)[:count]])
+
+
+def _foreground_points(
     samples: np.ndarray,
     states: np.ndarray,
     images: np.ndarray,
@@ -96,34 +132,34 @@ def _salient_points(
     config: Config,
     random: np.random.Generator,
 ) -> Tuple[np.ndarray, np.ndarray]:
-    """Points of the table (P, 2) that stand out in what was seen next to each sample (S, 3), and the yaws (P,) there.
+    """Draw table points (P, 2) [m] of foreground pixels in the image nearest to each sample (S, 3), and its yaw (P,).
 
-    The entropy of a camera state tells that something in view is hard to predict, but not where in the view: its peak
-    is as wide as the camera's footprint, and leans towards the border of the workspace. What stands out from the views
-    that are easy to predict says where.
+    The entropy of a camera state shows that something in view is hard to predict, but not where in the image: its peak
+    is as wide as the camera's footprint, and biased towards the border of the workspace.
     """
-    box = config.workspace.box()
-    _, nearest = cKDTree(box.normalise(states)).query(box.normalise(samples))
+    workspace = config.workspace.box()
+    _, nearest = cKDTree(workspace.normalise(states)).query(workspace.normalise(samples))
     points, yaws = [np.empty((0, 2))], [np.empty(0)]
     for index in nearest:
-        salience = background.salience(images[index][::_STRIDE, ::_STRIDE])
+        salience = background.salience(images[index][::_PIXEL_STRIDE, ::_PIXEL_STRIDE])
         total = salience.sum()
         if total < 1.0:
-            continue  # less than one pixel: noise
-        drawn = random.choice(salience.size, _PIXELS, p=(salience / total).ravel())
+            continue  # less than one pixel is noise
+        drawn = random.choice(salience.size, _PIXELS_PER_SAMPLE, p=(salience / total).ravel())
         rows, columns = np.divmod(drawn, salience.shape[1])
         state = states[index]
-        points.append(table_points(np.tile(state, (_PIXELS, 1)), rows * _STRIDE, columns * _STRIDE, config.camera))
-        yaws.append(np.full(_PIXELS, state[2]))
+        repeated = np.tile(state, (_PIXELS_PER_SAMPLE, 1))
+        points.append(table_points(repeated, rows * _PIXEL_STRIDE, columns * _PIXEL_STRIDE, config.camera))
+        yaws.append(np.full(_PIXELS_PER_SAMPLE, state[2]))
     return np.concatenate(points), np.concatenate(yaws)
 
 
 def _cluster(
-    points: np.ndarray, yaws: np.ndarray, drawn: int, settings: FingerprintConfig, box: Workspace
+    points: np.ndarray, yaws: np.ndarray, drawn: int, settings: FingerprintConfig, workspace: Workspace
 ) -> List[Cluster]:
-    """Clusters of points (P, 2) [m], the largest first, without those that are too small or too close to a larger.
+    """Cluster points (P, 2) [m] with yaws (P,), largest first, without clusters that are small or near a larger one.
 
-    drawn: how many points there would be if every sample had given its share.
+    drawn: number of points if every sample had contributed its share.
     """
     if len(points) <= drawn * settings.min_share:
         return []
@@ -131,9 +167,7 @@ def _cluster(
     found = []
     for label, centre in enumerate(shift.cluster_centers_):
         members = shift.labels_ == label
-        yaw = float(wrap(math.atan2(np.sin(yaws[members]).sum(), np.cos(yaws[members]).sum())))
-        # Yaws on both sides of the limits have their mean beyond them.
-        yaw = min(max(yaw, box.lower[2]), box.upper[2])
+        yaw = _mean_yaw(yaws[members], workspace)
         found.append(Cluster(OBJECT, np.array([*centre, yaw]), float(members.sum() / drawn)))
     kept: List[Cluster] = []
     for cluster in sorted(found, key=lambda item: -item.share):
@@ -143,9 +177,20 @@ def _cluster(
     return kept
 
 
-def _blank(states: np.ndarray) -> List[Cluster]:
-    """The largest region among the states (B, 3) that are easiest to predict; yaw makes no difference there."""
+def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:
+    """Circular mean of yaws (M,) [rad]; those on both sides of the limits have a mean beyond them, which is clipped."""
+    mean = float(wrap(math.atan2(np.sin(yaws).sum(), np.cos(yaws).sum())))
+    return min(max(mean, workspace.lower[2]), workspace.upper[2])
+
+
+def _blank_region(states: np.ndarray) -> Cluster:
+    """Return the largest cluster of the states (B, 3) with the lowest entropy; yaw is irrelevant there and set to 0."""
     shift = MeanShift(bandwidth=_BLANK_BANDWIDTH, bin_seeding=True, cluster_all=False).fit(states[:, :2])
     sizes = np.bincount(shift.labels_[shift.labels_ >= 0])
     largest = int(sizes.argmax())
-    return [Cluster(BLANK, np.array([*shift.cluster_centers_[largest], 0.0]), float(sizes[largest] / len(states)))]
+    return Cluster(BLANK, np.array([*shift.cluster_centers_[largest], 0.0]), float(sizes[largest] / len(states)))
+
+
+def _is_reachable(cluster: Cluster, workspace: Workspace, settings: FingerprintConfig) -> bool:
+    """Whether the camera can be moved to within `view_std` of the cluster's centre, in x and in y."""
+    return bool(np.abs((workspace.clip(cluster.centre) - cluster.centre)[:2]).max() <= settings.view_std)

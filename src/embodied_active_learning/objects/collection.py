@@ -1,4 +1,7 @@
-"""Views of one learned object, spread over a normal distribution around it (paper, Sec. 5, object fingerprinting)."""
+"""Collection of the views of one object by ergodic control around its centre.
+
+Paper, Sec. "Object Fingerprinting" and limitations: views are spread over a normal distribution around the centre.
+"""
 
 from __future__ import annotations
 
@@ -16,26 +19,30 @@ from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.workspace import Workspace
 
 _KERNEL_VARIANCE = 0.02
-"""Of the coverage kernel, in units of the view box. The wider it is, the closer the views stay to the centre; the
-authors, who take a tenth of the exploration's variance, would have 0.036."""
-_MOST_STEPS = 4
-"""Times the planned number of steps after which a collection gives up: the views would all be the same."""
+"""Variance of the coverage kernel, in units of the view box.
+
+The wider the kernel, the closer the views stay to the centre. The authors' code uses a tenth of the variance used in
+exploration, which would be 0.036 here.
+"""
+_STEP_LIMIT_FACTOR = 4
+"""Give up after this many times the planned number of steps: further views would be duplicates."""
 
 
 class ViewCollection:
-    """Ergodic control around a centre, in a workspace of its own: the view box around it, where the camera can go.
+    """Ergodic control in the view box around an object's centre, clipped to the workspace.
 
-    Begin at `start`; then, in turn, observe() and next_command() until it is complete or exhausted.
+    Move the camera to `start`, then alternate `observe` and `next_command` until the collection is `complete` or
+    `exhausted`.
     """
 
     def __init__(self, config: Config, centre: np.ndarray, seed: int) -> None:
-        """centre: (3,) m, m, rad. One seed gives one sequence of commands."""
+        """Plan views of a centre (3,) [m, m, rad]. One seed gives one sequence of commands."""
         self._settings = config.fingerprint
-        local = _around(config, centre, seed)
+        local = _view_box_config(config, centre, seed)
         self._workspace = local.workspace.box()
         self._samples = WorkspaceSamples(local)
         self._controller = ErgodicController(local, seed)
-        self._target = self._normal(centre)
+        self._target = self._target_distribution(centre)
         self._steps = 0
         self._states: List[np.ndarray] = []
         self._images: List[np.ndarray] = []
@@ -43,27 +50,36 @@ class ViewCollection:
 
     @property
     def states(self) -> np.ndarray:
-        """(V, 3) m, m, rad: where the kept views were taken."""
+        """(V, 3) camera states [m, m, rad] of the kept views."""
         return np.array(self._states).reshape(-1, self._workspace.size)
 
     @property
     def images(self) -> np.ndarray:
-        """(V, H, W, 3) uint8: the kept views."""
+        """(V, H, W, 3) uint8 images of the kept views."""
         return np.array(self._images)
 
     @property
     def complete(self) -> bool:
-        """Whether there are as many views as asked for."""
+        """Whether `fingerprint/views` views were kept."""
         return len(self._states) >= self._settings.views
 
     @property
     def exhausted(self) -> bool:
-        """Whether so many steps have been made that more of them will bring no new views."""
-        return self._steps >= _MOST_STEPS * self._settings.views * self._settings.steps_per_view
+        """Whether the step limit was reached: more steps are unlikely to give new views."""
+        return self._steps >= _STEP_LIMIT_FACTOR * self._settings.views * self._settings.steps_per_view
 
     def observe(self, state: np.ndarray, velocity: np.ndarray, image: np.ndarray) -> bool:
-        """Count a step that ended at a state (3,) with a velocity (3,), SI units. -> whether its image was kept."""
-        keep = self._steps % self._settings.steps_per_view == 0 and self._is_new(state)
+        """Record the state reached by a step, and keep its image every `steps_per_view` steps unless it is a duplicate.
+
+        Args:
+            state: (3,) x [m], y [m], theta [rad].
+            velocity: (3,) in m/s, m/s, rad/s.
+            image: (H, W, 3) uint8 taken at the state.
+
+        Returns:
+            Whether the image was kept.
+        """
+        keep = self._steps % self._settings.steps_per_view == 0 and is_new_view(state, self.states, self._settings)
         if keep:
             self._states.append(np.array(state, dtype=np.float64))
             self._images.append(np.array(image))
@@ -74,57 +90,53 @@ class ViewCollection:
         return keep
 
     def next_command(self) -> VelocityCommand:
-        """What the arm should do next."""
+        """Return the next command for the arm."""
         return self._controller.next_command(self._target, self._samples)
 
     def interrupt(self) -> None:
-        """Tell the controller that the arm was stopped."""
+        """Reset the controller after the arm was stopped."""
         self._controller.reset()
 
-    def _is_new(self, state: np.ndarray) -> bool:
-        return is_new(state, self.states, self._settings)
-
-    def _normal(self, centre: np.ndarray) -> np.ndarray:
-        """The target distribution (S,) over the samples."""
+    def _target_distribution(self, centre: np.ndarray) -> np.ndarray:
+        """Normalised view density (S,) at the samples."""
         states = self._workspace.denormalise(self._samples.states)
-        return normalise(np.exp(log_density(states, centre, self._workspace, self._settings)))
+        return normalise(np.exp(log_view_density(states, centre, self._workspace, self._settings)))
 
 
-def log_density(
+def log_view_density(
     states: np.ndarray, centre: np.ndarray, workspace: Workspace, settings: FingerprintConfig
 ) -> np.ndarray:
-    """How much views from states (S, 3) are wanted of an object at a centre (3,): a logarithm (S,), but for a constant.
+    """Return the unnormalised log density (S,) of views of an object at camera states (S, 3) [m, m, rad].
 
-    Normal in x and y around the centre, nearly even in yaw.
+    Normal in x and y around the object's centre (3,); nearly uniform in yaw, around the middle of the workspace.
     """
     mean = np.array([centre[0], centre[1], workspace.centre[2]])
     std = np.array([settings.view_std, settings.view_std, settings.view_yaw_std])
     return -0.5 * np.square((states - mean) / std).sum(axis=1)
 
 
-def is_new(state: np.ndarray, kept: np.ndarray, settings: FingerprintConfig) -> bool:
-    """Whether a view from a state (3,) is no duplicate of one that was kept (V, 3)."""
+def is_new_view(state: np.ndarray, kept: np.ndarray, settings: FingerprintConfig) -> bool:
+    """Return whether a view from a state (3,) is not a duplicate of any kept view, from states (V, 3) [m, m, rad]."""
     if not len(kept):
         return True
     distance, turn = pose_distance(kept, state)
     return not np.any((distance < settings.min_view_distance) & (turn < settings.min_view_turn))
 
 
-def _around(config: Config, centre: np.ndarray, seed: int) -> Config:
-    """The configuration whose workspace is the view box around a centre, cut to the real workspace.
+def _view_box_config(config: Config, centre: np.ndarray, seed: int) -> Config:
+    """Return a configuration whose workspace is the view box around a centre, clipped to the real workspace.
 
-    The arm is slowed down with the size of the box, so that a step takes it as far across this workspace as across the
-    real one.
+    Top speed shrinks with the box, so that a step covers the same share of this workspace as of the real one.
     """
     box, size = config.workspace.box(), config.fingerprint.view_box
     middle = box.clip(centre)
     limits = [(max(box.lower[i], middle[i] - size), min(box.upper[i], middle[i] + size)) for i in range(2)]
     workspace = WorkspaceConfig(x=limits[0], y=limits[1], theta=(box.lower[2], box.upper[2]))
-    slower = min(1.0, size / float(box.scale[:2].min()))
+    speed_ratio = min(1.0, size / float(box.scale[:2].min()))
     return replace(
         config,
         workspace=workspace,
         simulation=replace(config.simulation, start=tuple(workspace.box().centre)),
-        arm=replace(config.arm, max_speed=slower * config.arm.max_speed),
+        arm=replace(config.arm, max_speed=speed_ratio * config.arm.max_speed),
         exploration=replace(config.exploration, seed=seed, sample_box=1.0, kernel_variance=_KERNEL_VARIANCE),
     )

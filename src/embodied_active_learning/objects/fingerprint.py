@@ -1,4 +1,7 @@
-"""What the model knows of each learned object: the views around it, and what the encoder makes of them."""
+"""Fingerprints: the views of a learned object with their states and latents.
+
+Paper, appendix "Object Fingerprinting": a fingerprint is a table of images, states and latent space samples.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.naming import check_name, check_recorded_name
 
 if TYPE_CHECKING:
-    import torch  # takes a second, which those who need no weights can do without
+    import torch  # importing it takes a second, and only the type is needed here
 
 OBJECT, BLANK = "object", "blank"
 KINDS = (OBJECT, BLANK)
 
-# Fields of a Fingerprint that are arrays: type and shape, where a letter stands for any size from 1, the same in all.
+# Type and shape of the array fields of a Fingerprint; a letter stands for a size of at least 1, equal in all fields.
 ARRAYS: Dict[str, Tuple[type, Tuple[Any, ...]]] = {
     "centre": (np.float64, (3,)),
     "states": (np.float64, ("V", 3)),
@@ -31,72 +34,94 @@ ARRAYS: Dict[str, Tuple[type, Tuple[Any, ...]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Fingerprint:
-    """What one learned object looks like from around it: a table of images, states and latents (paper, appendix).
+    """Views of one learned object, from around it.
 
-    Raises ObservationError for anything that is not as said below, SessionError for a name that is not allowed.
+    Attributes:
+        name: Unique within its set, such as `object-1`.
+        kind: OBJECT or BLANK.
+        centre: (3,) float64 centre of the cluster, x [m], y [m], theta [rad] in the base frame.
+        states: (V, 3) float64 camera states [m, m, rad] of V >= 1 views.
+        images: (V, H, W, 3) uint8, RGB.
+        latent_means: (V, L) float32 mean of q(z | state, image) of each view.
+        latent_stds: (V, L) float32 standard deviation of the same.
+        importance: Share of the importance samples in its cluster, 0 to 1 (0 for a blank).
+
+    Raises:
+        ObservationError: If a field is invalid.
+        SessionError: If the name is not allowed.
     """
 
-    name: str  # unique within its set, such as object-1
-    kind: str  # OBJECT or BLANK
-    centre: np.ndarray  # (3,) float64, m, m, rad: the cluster's centre
-    states: np.ndarray  # (V, 3) float64, m, m, rad: the camera's poses of V >= 1 views
-    images: np.ndarray  # (V, H, W, 3) uint8, red first
-    latent_means: np.ndarray  # (V, L) float32
-    latent_stds: np.ndarray  # (V, L) float32
-    importance: float  # share of the importance samples in its cluster, 0 .. 1 (0 for a blank)
+    name: str
+    kind: str
+    centre: np.ndarray
+    states: np.ndarray
+    images: np.ndarray
+    latent_means: np.ndarray
+    latent_stds: np.ndarray
+    importance: float
 
     def __post_init__(self) -> None:
         """Check every field."""
         check_name(self.name, "name of a fingerprint")
         if self.kind not in KINDS:
-            raise ObservationError(f"{self.name}: kind is {self.kind!r}: legal are {', '.join(KINDS)}")
+            raise ObservationError(f"{self.name}: invalid kind {self.kind!r}: expected {' or '.join(KINDS)}")
         if not isinstance(self.importance, Real) or not 0.0 <= self.importance <= 1.0:
-            raise ObservationError(f"{self.name}: importance is {self.importance!r}: legal is 0 to 1")
+            raise ObservationError(f"{self.name}: importance {self.importance!r} is out of range: expected 0 to 1")
         sizes: Dict[str, int] = {}
         for field, (dtype, shape) in ARRAYS.items():
             _check_array(f"{self.name}: {field}", getattr(self, field), np.dtype(dtype), shape, sizes)
 
     @property
     def thumbnail(self) -> np.ndarray:
-        """(H, W, 3) uint8: the view whose x and y are closest to the centre's."""
+        """(H, W, 3) uint8 image of the view that is nearest to the centre in x and y."""
         x, y = (self.states - self.centre).T[:2]
         return self.images[np.argmin(np.hypot(x, y))]
 
 
 @dataclass(frozen=True, eq=False)
 class FingerprintSet:
-    """Everything that one call of /fingerprint has found, and the model that it was found with.
+    """All fingerprints of a session, and the model that encoded them.
 
-    Raises ObservationError for anything that is not as said below, SessionError for a session's name that is not
-    allowed.
+    Attributes:
+        session: Name of the session.
+        updates: Number of updates of the model.
+        observations: Number of observations the model had learned from.
+        created: UTC time, ISO 8601 with its offset.
+        config: The session's configuration.
+        weights: Parameters of the network by name (model/checkpoint.py, `network_weights`).
+        fingerprints: With unique names; images and latents have the sizes of the configuration.
+
+    Raises:
+        ObservationError: If a field is invalid.
+        SessionError: If the session's name is not allowed.
     """
 
-    session: str  # name of the session folder
-    updates: int  # updates of the model
-    observations: int  # observations it had learned from
-    created: str  # UTC time, ISO 8601 with its offset
+    session: str
+    updates: int
+    observations: int
+    created: str
     config: Config
-    weights: Dict[str, torch.Tensor]  # the network's, by its own names (model/checkpoint.py, network_weights)
-    fingerprints: Tuple[Fingerprint, ...]  # names are unique, images and latents as the config has them
+    weights: Dict[str, torch.Tensor]
+    fingerprints: Tuple[Fingerprint, ...]
 
     def __post_init__(self) -> None:
-        """Check every field, and that the fingerprints fit the configuration."""
+        """Check every field, and that the fingerprints match the configuration."""
         check_recorded_name(self.session, "session of the fingerprints")
         for field in ("updates", "observations"):
             count = getattr(self, field)
             if type(count) is not int or count < 0:
-                raise ObservationError(f"{field} is {count!r}: give a whole number from 0")
+                raise ObservationError(f"invalid {field} {count!r}: expected an integer of at least 0")
         if not _is_utc(self.created):
-            raise ObservationError(f"created is {self.created!r}: give a UTC time such as 2026-11-22T12:45:00Z")
+            raise ObservationError(f"invalid created {self.created!r}: expected UTC such as 2026-11-22T12:45:00Z")
         names = [fingerprint.name for fingerprint in self.fingerprints]
         if len(set(names)) < len(names):
-            raise ObservationError(f"names of fingerprints are {', '.join(names)}: give each its own")
+            raise ObservationError(f"duplicate fingerprint name in {', '.join(names)}: names must be unique")
         for fingerprint in self.fingerprints:
             _check_fits(fingerprint, self.config)
 
 
 def _check_array(subject: str, array: Any, dtype: np.dtype, shape: Tuple[Any, ...], sizes: Dict[str, int]) -> None:
-    """Check an array; sizes holds what the letters of shapes stand for, and learns those that are new."""
+    """Check one array; `sizes` maps the letters of shapes to sizes and is extended by new letters."""
     expected = f"{dtype} ({', '.join(str(sizes.get(size, size)) for size in shape)}) with sizes from 1"
     if not isinstance(array, np.ndarray):
         raise ObservationError(f"{subject} is {type(array).__name__}, expected {expected}")
@@ -107,30 +132,31 @@ def _check_array(subject: str, array: Any, dtype: np.dtype, shape: Tuple[Any, ..
     ):
         raise ObservationError(f"{subject} is {array.dtype} {array.shape}, expected {expected}")
     if not np.isfinite(array).all():
-        raise ObservationError(f"{subject} holds values that are not finite: train longer, or check tf and the arm")
+        raise ObservationError(f"{subject} contains NaN or infinity: train longer, or check tf and the arm")
 
 
 def _check_fits(fingerprint: Fingerprint, config: Config) -> None:
-    height, width = fingerprint.images.shape[1:3]
+    """Check the sizes of images and latents against the configuration."""
+    height, width = np.shape(fingerprint.images)[1:3]
     if (height, width) != (config.camera.height, config.camera.width):
         raise ObservationError(
-            f"{fingerprint.name}: images are {width} x {height} px, but camera/width and camera/height are "
-            f"{config.camera.width} and {config.camera.height}: use the configuration of their session"
+            f"{fingerprint.name}: images are {width} x {height} px but camera/width and camera/height are "
+            f"{config.camera.width} and {config.camera.height}: use the configuration of its session"
         )
     latents = fingerprint.latent_means.shape[1]
     if latents != config.model.latent_size:
         raise ObservationError(
-            f"{fingerprint.name}: latent_means has {latents} latent variables, but model/latent_size is "
-            f"{config.model.latent_size}: use the configuration of their session"
+            f"{fingerprint.name}: made with {latents} latents but model/latent_size is "
+            f"{config.model.latent_size}: use the configuration of its session"
         )
 
 
 def _is_utc(text: Any) -> bool:
-    """Whether a text is a time in UTC."""
+    """Whether a value is an ISO 8601 time in UTC."""
     if not isinstance(text, str):
         return False
     try:
-        # Python 3.8 does not know the Z that ISO 8601 writes for UTC.
+        # Python 3.8 cannot parse the Z that ISO 8601 allows for UTC.
         moment = datetime.fromisoformat(f"{text[:-1]}+00:00" if text.endswith("Z") else text)
     except ValueError:
         return False

@@ -1,4 +1,8 @@
-"""The measurement: which stored view of a fingerprint a new image is most like, and what that says (appendix)."""
+"""Measurement model: the stored view of a fingerprint that is most similar to a new image, and the pose it implies.
+
+Paper, appendix "Object Identification", steps 1 to 3: the encoder is evaluated for the image paired with each stored
+state, and the stored view with the smallest L2 distance between latents is the most likely measurement.
+"""
 
 from __future__ import annotations
 
@@ -15,28 +19,36 @@ from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import Fingerprint
 
 PIXELS = 30
-"""Side of the picture that the baseline compares instead of latents."""
+"""Side [px] of the downscaled images that the pixel baseline compares in place of latents."""
 
 
 @dataclass(frozen=True)
 class Matches:
-    """What N images say about one fingerprint."""
+    """Measurements of one fingerprint in N images.
 
-    view: np.ndarray  # (N,) int32: the stored view that is most like the image
-    distance: np.ndarray  # (N,) float32: L2 distance of their latents
-    value: np.ndarray  # (N,) float32 in (0, 1): the measurement, 1/2 at the threshold
-    pose: np.ndarray  # (N, 3) float64 m, m, rad: where the object is if the image shows it
+    Attributes:
+        view: (N,) int32 index of the most similar stored view.
+        distance: (N,) float32 L2 distance between the latents of image and stored view.
+        value: (N,) float32 in (0, 1), the measurement; 1/2 at the distance threshold.
+        pose: (N, 3) float64 pose [m, m, rad] of the object if the image shows it.
+    """
+
+    view: np.ndarray
+    distance: np.ndarray
+    value: np.ndarray
+    pose: np.ndarray
 
 
 class Matcher:
-    """Compares images with all fingerprints of one model; an image is encoded once for all of them."""
+    """Compares images with all fingerprints of one model; the convolutions run once per image."""
 
     def __init__(
         self, model: TrainedModel, fingerprints: Sequence[Fingerprint], settings: IdentificationConfig
     ) -> None:
-        """The threshold is the smallest distance between views of different fingerprints (paper, appendix).
+        """Compute the distance threshold: the smallest distance between different fingerprints (Paper, appendix).
 
-        Raises ObservationError for one fingerprint of one view.
+        Raises:
+            ObservationError: For a single fingerprint with a single view.
         """
         self._model = model
         self._fingerprints = tuple(fingerprints)
@@ -48,7 +60,15 @@ class Matcher:
         self.threshold, self.largest = _threshold(own)
 
     def match(self, states: np.ndarray, images: np.ndarray) -> List[Matches]:
-        """Compare images (N, H, W, 3) uint8 from states (N, 3) [m, m, rad] -> one Matches for each fingerprint."""
+        """Compare images with every fingerprint.
+
+        Args:
+            states: (N, 3) camera states [m, m, rad].
+            images: (N, H, W, 3) uint8.
+
+        Returns:
+            One Matches of length N for each fingerprint.
+        """
         distances = self._distances(images)
         found = []
         for item, begin, end in zip(self._fingerprints, self._starts, self._starts[1:]):
@@ -59,13 +79,16 @@ class Matcher:
         return found
 
     def value(self, distance: np.ndarray) -> np.ndarray:
-        """Measurement of a distance: 0.88 for none, 1/2 at the threshold, towards 0.12 for the largest ones."""
+        """Return the measurement (N,) for distances (N,): 0.88 at distance 0, 1/2 at the threshold, decreasing to 0.
+
+        The paper gives the threshold but not the function; a tanh with different widths on both sides is our choice.
+        """
         threshold, span = self.threshold, max(2.0 * self.largest - self.threshold, 1e-9)
         scale = np.where(distance < threshold, threshold, span)
         return (0.5 + 0.5 * np.tanh((threshold - distance) / scale)).astype(np.float32)
 
     def _distances(self, images: np.ndarray) -> np.ndarray:
-        """(N, V) float32 from each image to each stored view of any fingerprint."""
+        """Distances (N, V) float32 from each image to all stored views of all fingerprints."""
         if self._by_pixels:
             return _pairwise(_pixels(images), self._stored)
         latents = self._model.encode_pairs(self._states, self._model.image_features(images))
@@ -73,7 +96,7 @@ class Matcher:
 
 
 def _threshold(own: Sequence[np.ndarray]) -> Tuple[float, float]:
-    """Smallest and largest distance between views of different fingerprints; of one alone, between its own views."""
+    """Smallest and largest distance between different fingerprints, or between the views of a single fingerprint."""
     if len(own) == 1:
         distances = _pairwise(own[0], own[0])[np.triu_indices(len(own[0]), 1)]
     else:
@@ -82,19 +105,19 @@ def _threshold(own: Sequence[np.ndarray]) -> Tuple[float, float]:
         )
     if not distances.size:
         raise ObservationError(
-            "a single view leaves nothing to tell a near match from a far one: raise fingerprint/views, and call "
+            "no distance threshold: the only fingerprint has a single view; raise fingerprint/views and call "
             "/fingerprint again"
         )
     return float(max(distances.min(), 1e-9)), float(distances.max())
 
 
 def _pairwise(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Distances (N, M) between vectors (N, K) and (M, K)."""
+    """Euclidean distances (N, M) float32 between vectors (N, K) and (M, K)."""
     squares = np.square(one).sum(axis=1)[:, None] + np.square(other).sum(axis=1) - 2.0 * one @ other.T
     return np.sqrt(np.maximum(squares, 0.0)).astype(np.float32)
 
 
 def _pixels(images: np.ndarray) -> np.ndarray:
-    """Images as small pictures in one vector each, (N, 30 * 30 * 3) in [0, 1]."""
+    """Downscaled images as vectors (N, 30 * 30 * 3) in [0, 1]."""
     small = [cv2.resize(image, (PIXELS, PIXELS), interpolation=cv2.INTER_AREA).ravel() for image in images]
     return np.stack(small).astype(np.float64) / 255.0

@@ -9,8 +9,9 @@ import numpy as np
 
 from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
-from embodied_active_learning.objects.identification import Decision, Identification
+from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import (
     identification_folder,

@@ -17,7 +17,8 @@ import torch
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import LARGEST_YAML, FileReader, plain_types
 from embodied_active_learning.naming import check_name
-from embodied_active_learning.objects.identification import Decision, Identification
+from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
 from embodied_active_learning.session.checksummed_yaml import check_version, remove_seal, sealed_text
 from embodied_active_learning.session.paths import SessionPaths, stays_inside
@@ -109,7 +110,7 @@ def load_beliefs(session_path: Path, name: str) -> Dict[str, torch.Tensor]:
 
 def _beliefs(identification: Identification) -> Dict[str, torch.Tensor]:
     tensors: Dict[str, torch.Tensor] = {}
-    for item in identification.sought:
+    for item in identification.targets:
         for axis in ("x", "y", "yaw"):
             tensors[axis] = torch.from_numpy(getattr(item.grid, axis))
         for part in ("mean", "std"):
@@ -121,7 +122,7 @@ def _beliefs(identification: Identification) -> Dict[str, torch.Tensor]:
 
 def _trace(identification: Identification) -> Dict[str, torch.Tensor]:
     tensors = {}
-    for item in identification.sought:
+    for item in identification.targets:
         trace = item.trace
         for field in dataclasses.fields(trace):
             values = torch.from_numpy(getattr(trace, field.name))

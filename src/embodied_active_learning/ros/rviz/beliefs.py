@@ -15,8 +15,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from embodied_active_learning.msg import Belief, BeliefArray
 from embodied_active_learning.msg import Decision as DecisionMessage
 from embodied_active_learning.objects.beliefs import BeliefGrid
+from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.identification import Decision, SearchTarget
+from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import occupancy_grid_message
 from embodied_active_learning.ros.rviz.fingerprints import BLANK_COLOUR, disc_marker, label_marker
@@ -69,7 +70,7 @@ def belief_message(item: SearchTarget, decisions: Sequence[Decision]) -> Belief:
         [float(axis[1] - axis[0]) for axis in axes],
         grid.mean.astype(np.float32).ravel(),
         grid.std.astype(np.float32).ravel(),
-        [decision_message(decision) for decision in item.own(decisions)],
+        [decision_message(decision) for decision in decisions_about(decisions, item.session, item.fingerprint.name)],
     )
 
 
