@@ -133,7 +133,7 @@ class BeliefGrid:
         return found
 
     def yaw_peaks(self, pose: np.ndarray, most: int) -> List[float]:
-        """Return yaws [rad] of local maxima in the cell of a pose (3,), highest first; its own yaw if there is none."""
+        """Return yaws [rad] of local maxima in the cell of a pose (3,), highest first, or its own yaw."""
         row, column = np.abs(self.x - pose[0]).argmin(), np.abs(self.y - pose[1]).argmin()
         mean = self._weighted[row, column] / self._information[row, column]
         top = np.flatnonzero((mean >= np.roll(mean, 1)) & (mean > np.roll(mean, -1)))

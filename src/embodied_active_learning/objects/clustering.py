@@ -179,7 +179,7 @@ def _cluster(
 
 def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:
     """Circular mean of yaws (M,) [rad]; those on both sides of the limits have a mean beyond them, which is clipped."""
-    mean = float(wrap(math.atan2(np.sin(yaws).sum(), np.cos(yaws).sum())))
+    mean = float(wrap(np.arctan2(np.sin(yaws).sum(), np.cos(yaws).sum())))
     return min(max(mean, workspace.lower[2]), workspace.upper[2])
 
 

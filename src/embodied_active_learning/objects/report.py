@@ -54,7 +54,7 @@ def true_kinds(found: FingerprintSet, objects: Sequence[Location]) -> Dict[str, 
 
 
 def is_false_claim(decision: Decision, kinds: Kinds, objects: Sequence[Location]) -> bool:
-    """Return whether a decision claims an object where there is none of its kind, or a blank where there is an object.
+    """Return whether a decision claims an object where none of its kind stands, or a blank where an object stands.
 
     Decisions about fingerprints that are not in `kinds` are not judged. A fingerprint of no object (kind "") can only
     make false claims.

@@ -39,5 +39,5 @@ class StoredViews:
             if is_new_view(all_states[index], all_states[chosen], settings):
                 chosen.append(int(index))
         self.complete = len(chosen) == settings.views
-        self.states = np.array(all_states[chosen], dtype=np.float64)
+        self.states: np.ndarray = np.array(all_states[chosen], dtype=np.float64)
         self.images = np.array(all_images[chosen])

@@ -22,6 +22,7 @@ from embodied_active_learning.geometry import metres_per_pixel, move, pixels_of,
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 
+_CHANNELS = 3
 _NEAREST_VIEW_SCALE = (0.015, 0.4)
 """Distance [m] and turn [rad] of equal weight in the search for the stored view that is nearest to a state."""
 
@@ -165,5 +166,5 @@ def _rms(images: np.ndarray, predicted: np.ndarray, discs: Sequence[_Disc]) -> n
         difference = np.divide(images[index, rows, columns], 255.0, dtype=np.float32)
         difference -= predicted[index, rows, columns]
         squares = np.einsum("ijc,ijc->ij", difference, difference)[inside]
-        errors[index] = squares.sum(dtype=np.float64) / (np.shape(images)[3] * max(len(squares), 1))
+        errors[index] = squares.sum(dtype=np.float64) / (_CHANNELS * max(len(squares), 1))
     return np.sqrt(errors)
