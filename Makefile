@@ -1,12 +1,13 @@
-# make         install what is missing, build
-# make demo    learn one world in PyBullet, headless, with the demo profile
-# make test    build, lint, unit tests, node tests
-# make bench   every benchmark, in under ten minutes: tables, and build/benchmarks.json
-.PHONY: all install build demo test bench bench-docs lint format docs clean
+# make         install missing packages, build
+# make demo    learn, fingerprint and identify in PyBullet, headless, with the demo profile
+# make check   lint and unit tests, without a ROS master: under two minutes
+# make test    lint and all tests, with nodes: under fifteen minutes
+# make docs    generated files of docs/ and config/, and API pages in build/docs
+# make bench   all benchmarks: tables and build/benchmarks.json
+.PHONY: all install build demo check test bench bench-docs lint format docs clean
 
 SHELL := /bin/bash
 VENV := .venv
-LAUNCH_FILES := $(wildcard launch/*.launch)
 INTERFACES := $(wildcard msg/*.msg srv/*.srv)
 
 all: build
@@ -18,13 +19,16 @@ $(VENV)/installed: requirements.txt tools/install.sh tools/debian-packages.txt t
 
 build: build/built
 
-# Only what catkin turns into other files makes a new build necessary: the devel space points into the sources.
+# The devel space refers to the sources, so only inputs of generated files require a new build.
 build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(INTERFACES)
 	tools/build.sh
 	touch $@
 
 demo: build
 	tools/demo.sh $(DEMO_ARGS)
+
+check: build lint
+	tools/test.sh -m "not ros" $(PYTEST_ARGS)
 
 test: build lint
 	tools/test.sh $(PYTEST_ARGS)
@@ -35,10 +39,11 @@ bench: build
 bench-docs: build
 	source ./setup.bash && python3 benchmarks/run_all.py build/benchmarks.json --docs
 
-# tools/ serves the checkout and is not installed; the checkout may be called what its owner likes.
+# tools/ is not installed, and the checkout may have any name.
 lint: build
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+	source ./setup.bash && $(VENV)/bin/mypy
 	ROS_DISTRO=noetic ROS_PACKAGE_PATH=$(CURDIR):/usr/share:/opt/ros/noetic/share catkin_lint --offline -W2 --strict \
 		--ignore uninstalled_script --ignore package_path_name .
 
@@ -47,7 +52,7 @@ format: install
 	$(VENV)/bin/ruff format .
 
 docs: build
-	source ./setup.bash && python3 tools/generate_docs.py
+	source ./setup.bash && python3 tools/generate_docs.py && tools/api_docs.sh build/docs
 
 clean:
 	rm -rf build

@@ -2,8 +2,12 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
+import pytest
+
 from crashing import EVERYTHING, INTERRUPTION, crash, learn_arguments, outcome
 from launching import launch_to_the_end
+
+pytestmark = pytest.mark.ros
 
 # Nodes that a run depends on. experiments/crashes.py also kills monitor and fingerprinter, and more often.
 VICTIMS = {"ergodic_planner", "trainer", "pybullet_arm", EVERYTHING, INTERRUPTION}

@@ -13,6 +13,8 @@ import pytest
 from embodied_active_learning.ros.runtime.shutdown import ExitCode, child_processes
 from launching import ROOT, environment, started
 
+pytestmark = pytest.mark.ros
+
 STUB = Path(__file__).with_name("stub_node.py")
 WAITING = "waiting for an event that never happens"
 SIGNALS = [signal.SIGINT, signal.SIGTERM]

@@ -20,6 +20,8 @@ sys.path.insert(0, str(ROOT / "experiments"))
 
 import soak
 
+pytestmark = pytest.mark.ros
+
 TINY = ROOT / "test" / "rostest" / "tiny.yaml"
 NODES = ("pybullet_arm", "trainer", "ergodic_planner", "fingerprinter", "monitor")
 LOOKS, PERIOD = 40, 0.4

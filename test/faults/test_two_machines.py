@@ -12,6 +12,8 @@ from launching import ROOT, started
 from real_time import stand_in, truth, with_franka_messages
 from two_hosts import ROBOT, SERVER, two_hosts, why_not
 
+pytestmark = pytest.mark.ros
+
 REASON = why_not()
 STEPS = 40
 PROFILE = ROOT / "test" / "rostest" / "real_time.yaml"

@@ -4,11 +4,14 @@ import time
 from itertools import combinations
 
 import numpy as np
+import pytest
 
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launched, started
 from real_time import call, stand_in, truth, with_franka_messages
+
+pytestmark = pytest.mark.ros
 
 STEPS = 30
 PROFILE = ROOT / "test" / "rostest" / "real_time.yaml"

@@ -14,6 +14,8 @@ from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
 
+pytestmark = pytest.mark.ros
+
 SHORT = ROOT / "test" / "rostest" / "short.yaml"
 
 

@@ -17,6 +17,8 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.truth import true_objects
 from launching import ROOT, environment, launch_to_the_end, launched
 
+pytestmark = pytest.mark.ros
+
 TINY = ROOT / "test" / "rostest" / "tiny.yaml"
 IMAGES = 300
 

@@ -9,6 +9,8 @@ import pytest
 
 from launching import ROOT
 
+pytestmark = pytest.mark.ros
+
 FILES = sorted(path for folder in ("rostest", "faults") for path in (ROOT / "test" / folder).glob("*.test"))
 AT_ONCE = 2
 """Files that run beside each other: for most of the time nodes wait for each other, or for a fault to be noticed."""

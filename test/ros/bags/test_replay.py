@@ -25,6 +25,8 @@ from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.simulation.truth import true_objects
 from launching import ROOT, launch_to_the_end, launched, pid_of
 
+pytestmark = pytest.mark.ros
+
 BAG = ROOT / "bags" / "diagonal-small.bag"
 OBSERVATIONS = 400
 QUICK = {"training": {"updates_per_observation": 1, "learning_rate": 0.003}}
