@@ -151,7 +151,6 @@ class FrankaArmTest(unittest.TestCase):
         for _ in range(4):
             answer = self.move(0.05, -0.03, 0.2, 0.2)
             self.assertTrue(answer.success, answer.message)
-            self.assertEqual(answer.memory, ())
         state, velocity = state_arrays(answer.state)
         self.assertGreater(velocity[0], 0.02)
         self.assertGreater(state[0], CENTRE[0] + 0.01)

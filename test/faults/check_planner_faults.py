@@ -58,20 +58,20 @@ class FaultyArm:
         if self.failures:
             self.failures -= 1
             words = "the robot is in reflex mode"
-            return MoveArmResponse(False, words, ArmCause.FAILED, PlanarState(), False, [])
+            return MoveArmResponse(False, words, ArmCause.FAILED, PlanarState(), False)
         if self.fault == "stopped":
             words = "the arm was stopped by /operator"
-            return MoveArmResponse(False, words, ArmCause.STOPPED, PlanarState(), False, [])
+            return MoveArmResponse(False, words, ArmCause.STOPPED, PlanarState(), False)
         self._drive(velocity)
         threading.Event().wait(request.duration)
-        return MoveArmResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)), False, [])
+        return MoveArmResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)), False)
 
     def go_to(self, request):
         way = np.array([request.x, request.y, request.theta]) - state_arrays(self._drive(np.zeros(3)))[0]
         duration = PERIOD + np.max(np.abs(way) / SPEEDS)
         self._drive(way / duration)
         threading.Event().wait(duration)
-        return GoToPoseResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)), [])
+        return GoToPoseResponse(True, "", ArmCause.NONE, self._drive(np.zeros(3)))
 
     def stop(self, _request):
         self.last_call = "stop"
@@ -231,7 +231,7 @@ class PlannerFaultsTest(unittest.TestCase):
     def test_an_arm_that_fails_is_tried_again(self):
         self.arm.failures = 3
         first = len(self.arm.commands)
-        self.wait_for_words("the robot is in reflex mode (try ")
+        self.wait_for_words("the robot is in reflex mode (attempt ")
         self.wait_for_progress()
         self.assertEqual(self.arm.failures, 0)
         np.testing.assert_array_equal(self.arm.commands[first + 2], 0.0, "the arm was not told to hold still")
@@ -241,7 +241,7 @@ class PlannerFaultsTest(unittest.TestCase):
         self.assertEqual(self.planner.process.wait(TIMEOUT), 2)
         self.arm.failures = 0
         self.assertEqual(self.arm.last_call, "stop")
-        self.assertIn("the robot is in reflex mode (gave up after 4 tries)", self.planner.last_line)
+        self.assertIn("the robot is in reflex mode (gave up after 4 attempts)", self.planner.last_line)
         type(self).planner = NodeProcess("ergodic_planner")
         self.wait_for_progress()
 
@@ -304,7 +304,7 @@ class PlannerFaultsTest(unittest.TestCase):
         self.wait_for(lambda: len(self.arm.commands) > count, "no step began")
         answer = self.call("planner/pause")
         self.assertTrue(answer.success)
-        self.assertIn("but the arm may still move: ", answer.message)
+        self.assertIn("but the arm may still move: the arm has not responded", answer.message)
         self.arm.fault = ""
         self.arm.released.set()
         self.wait_for(lambda: self.arm.last_call == "stop", "the arm was not stopped")

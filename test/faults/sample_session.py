@@ -17,6 +17,7 @@ from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.pipeline.exploration import ExplorationRun
+from embodied_active_learning.session.arm_states import ArmStates
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.identifications import (
@@ -109,13 +110,27 @@ def make_sample(root: Path) -> Path:
         save_identification(session.paths.path, "first", sought, sought.decide(states, images))
         memory = ExplorationRun(config).memory()
         save_memory(session.paths.path / "planner.safetensors", _planner_memory(memory))
+        _write_arm_states(session.paths.arm_states)
         write_summary(session.paths.summary, summarise(session, True, 1.5))
     _write_files_of_people(session.paths.path / "people")
     return session.paths.path
 
 
 def _planner_memory(run: Dict[str, np.ndarray]) -> PlannerState:
-    return PlannerState(2, (1, 5), np.array([0.4, 0.1, 0.2]), np.zeros(3), np.empty(0), run)
+    return PlannerState(2, (1, 5), np.array([0.4, 0.1, 0.2]), np.zeros(3), run)
+
+
+def _write_arm_states(path: Path) -> None:
+    states = ArmStates(path)
+    for second in range(3):
+        states.add((second, 5), {"steps": np.array([second / 7.0]), "joints": np.arange(7.0) / 7.0})
+    states.write()
+
+
+def _arm_states(path: Path) -> Any:
+    states = ArmStates(path / "arm_states.safetensors")
+    states.load()
+    return [_plain(states.at((second, 5))) for second in range(3)] if states.stamps else None
 
 
 def _write_files_of_people(folder: Path) -> None:
@@ -191,6 +206,7 @@ KINDS = (
     Kind("checkpoints/checkpoint_000000003.safetensors", _checkpoint),
     Kind("model.safetensors", lambda path: _plain(load_newest_model(Session.open_read_only(path)).weights)),
     Kind("planner.safetensors", _memory),
+    Kind("arm_states.safetensors", _arm_states),
     Kind(f"{_GENERATION}/set.yaml", _set),
     Kind(f"{_GENERATION}/model.safetensors", _set),
     Kind(f"{_GENERATION}/object-1/fingerprint.safetensors", _set),

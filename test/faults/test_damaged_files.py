@@ -183,7 +183,7 @@ def test_a_missing_file_is_named_unless_there_need_be_none(kind, sample, origina
     with replaced(sample / kind.path):
         if kind.path.endswith(".csv"):
             assert all(shape == (0,) for _, shape, _ in kind.read(sample).values())
-        elif kind.path.startswith(("checkpoints", "planner")):
+        elif kind.path.startswith(("checkpoints", "planner", "arm_states")):
             assert kind.read(sample) is None
         elif kind.path == "model.safetensors":
             assert kind.read(sample) == originals[kind.path]  # of the newest checkpoint

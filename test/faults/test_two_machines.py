@@ -94,7 +94,7 @@ def test_the_arm_stops_when_the_cable_is_pulled_and_the_run_goes_on_when_it_is_b
         robot = run.robot
         run.wait_for(lambda: run.stored >= 10, "it did not begin")
         run.hosts.pull_cable()
-        run.wait_for(lambda: "gives no sign of life any more: the arm is stopped" in robot.said, "it was not freed")
+        run.wait_for(lambda: "the arm is stopped and free for other nodes" in robot.said, "it was not freed")
         assert robot.truth()["speed"] < 0.001
         before = run.stored
         time.sleep(1.0)
@@ -117,10 +117,15 @@ def test_the_robots_side_may_be_started_anew_and_an_arm_with_other_limits_takes_
         with run.arm():
             run.wait_for(lambda: run.stored >= 10, "it did not begin")
         with run.arm(robot_profile=other):
-            run.wait_for(lambda: "this system is not let drive the arm: workspace/x" in run.robot.said, "it was let")
+            run.wait_for(
+                lambda: "refusing commands: configuration mismatch: workspace/x" in run.robot.said, "it was let"
+            )
             before = run.stored
             run.robot.truth()
-            run.wait_for(lambda: "the arm stands still: workspace/x" in run.server.said, "nobody tried to drive it")
+            run.wait_for(
+                lambda: "arm held still: configuration mismatch: workspace/x" in run.server.said,
+                "nobody tried to drive it",
+            )
             assert run.stored == before, "something was stored with the wrong arm"
             assert run.robot.truth()["travelled"] < 0.001
         with run.arm():

@@ -33,7 +33,7 @@ RUNNING = {CONTROLLER: Controller("running", True)}
 class NeverStopped:
     by = ""
 
-    def happened(self):
+    def is_set(self):
         return False
 
 
@@ -42,7 +42,7 @@ class StoppedBy:
         self.by = by
         self.now = False
 
-    def happened(self):
+    def is_set(self):
         return self.now
 
 
@@ -80,7 +80,7 @@ class Lab:
         self.mode, self.errors = RobotMode.MOVE, ()
         self.sends_states = self.follows = True
         self.sent = []
-        self.driver.see_control(controllers=RUNNING)
+        self.driver.update_control(controllers=RUNNING)
         self.passes(0.05)
 
     def end_effector(self):
@@ -90,7 +90,7 @@ class Lab:
 
     def sees(self, end_effector=None):
         values = self.end_effector() if end_effector is None else end_effector
-        return self.driver.see_state(self.now, 0.0, values, self.mode, self.errors, ())
+        return self.driver.update_state(self.now, 0.0, values, self.mode, self.errors, ())
 
     def passes(self, seconds, until=lambda: False):
         ends_at = self.now + seconds - 1e-9
@@ -214,7 +214,7 @@ def test_a_state_that_is_sent_again_and_again_is_a_silence():
     lab.sends_states = False
     for _ in range(30):
         lab.passes(PERIOD)
-        lab.driver.see_state(stamp, 0.0, lab.end_effector(), lab.mode, (), ())
+        lab.driver.update_state(stamp, 0.0, lab.end_effector(), lab.mode, (), ())
     assert "no new state" in lab.driver.why_not_ready()
 
 

@@ -43,7 +43,7 @@ def test_a_run_on_the_stand_in_ends_with_all_its_observations_although_the_camer
     with started(["roscore", "-p", port], tmp_path / "core.log", variables), fake, learning as process:
         wait_for(lambda: _stored(path) >= 10, log)
         call(variables, "/fake_franka/freeze_camera", "{data: true}")
-        wait_for(lambda: "the arm stands still" in log.read_text(), log)
+        wait_for(lambda: "arm held still" in log.read_text(), log)
         call(variables, "/fake_franka/freeze_camera", "{data: false}")
         process.wait(180)
         told = truth(variables)

@@ -18,15 +18,15 @@ def memory():
     run.observe(np.array([0.475, 0.0, 0.0]), np.zeros(3))
     run.assess(None)
     run.next_command()
-    state, velocity, arm = np.array([0.4, 0.1, 0.2]), np.array([0.1, 0.0, np.pi]), np.arange(18.0) / 7.0
-    return PlannerState(1, (12, 345), state, velocity, arm, run.memory())
+    state, velocity = np.array([0.4, 0.1, 0.2]), np.array([0.1, 0.0, np.pi])
+    return PlannerState(1, (12, 345), state, velocity, run.memory())
 
 
 def test_a_memory_comes_back_bit_for_bit(tmp_path, memory):
     save_memory(tmp_path / "planner.safetensors", memory)
     found = load_memory(tmp_path / "planner.safetensors")
     assert (found.index, found.stamp) == (1, (12, 345))
-    for name in ("state", "velocity", "arm"):
+    for name in ("state", "velocity"):
         np.testing.assert_array_equal(getattr(found, name), getattr(memory, name))
     assert found.run.keys() == memory.run.keys()
     for name, array in memory.run.items():
@@ -37,9 +37,8 @@ def test_a_memory_comes_back_bit_for_bit(tmp_path, memory):
 def test_a_later_memory_takes_the_place_of_the_one_before(tmp_path, memory):
     path = tmp_path / "planner.safetensors"
     save_memory(path, memory)
-    save_memory(path, dataclasses.replace(memory, index=2, arm=np.empty(0)))
+    save_memory(path, dataclasses.replace(memory, index=2))
     assert load_memory(path).index == 2
-    assert load_memory(path).arm.shape == (0,)
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -52,8 +51,8 @@ def test_no_memory_is_none(tmp_path):
     [
         ({"state": np.zeros(4)}, {}, "state is not finite numbers"),
         ({"velocity": np.array([0.0, np.nan, 0.0])}, {}, "velocity is not finite numbers"),
-        ({"arm": np.zeros((2, 2))}, {}, "arm is not finite numbers"),
-        ({"arm": None}, {}, "arm is not finite numbers"),
+        ({"velocity": np.zeros((3, 1))}, {}, "velocity is not finite numbers"),
+        ({"velocity": None}, {}, "velocity is not finite numbers"),
         ({"state": np.zeros(3, np.float32)}, {}, "state is not finite numbers"),
         ({}, {"index": -1}, "index is -1"),
         ({}, {"index": "1"}, "index is '1'"),

@@ -241,17 +241,23 @@ def test_joint_speeds_stay_legal_however_fast_the_arm_may_be():
     arm.close()
 
 
-def test_an_arm_that_is_put_back_goes_on_bit_for_bit_as_one_that_never_left(arm):
+def assert_same(state, expected):
+    assert state.keys() == expected.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(state[name], array)
+
+
+def test_load_state_dict_continues_bit_for_bit(arm):
     for velocity, _ in RECORDED[:2]:
         arm.move(velocity, 0.2)
-    memory = arm.memory
+    state = arm.state_dict()
     expected = [arm.move(velocity, 0.2) for velocity, _ in RECORDED[2:]]
     other = SimulatedArm(CONFIG)
     try:
         for one in (arm, other):
             one.go_to((0.4, -0.1, 1.0))
-            one.restore(memory.tolist())
-            np.testing.assert_array_equal(one.memory, memory)
+            one.load_state_dict(state)
+            assert_same(one.state_dict(), state)
             for (velocity, _), result in zip(RECORDED[2:], expected):
                 again = one.move(velocity, 0.2)
                 np.testing.assert_array_equal(again.state, result.state)
@@ -261,18 +267,34 @@ def test_an_arm_that_is_put_back_goes_on_bit_for_bit_as_one_that_never_left(arm)
 
 
 @pytest.mark.parametrize(
-    ("index", "value"),
-    [(0, -1.0), (0, 1e300), (1, 1.0), (2, math.nan), (15, 1e9), (17, -1.6)],
-    ids=["before the start", "after all time", "another place", "no number", "too fast", "turns too fast"],
+    ("name", "index", "value", "reason"),
+    [
+        ("steps", 0, -1.0, "time out of range"),
+        ("steps", 0, 1e300, "time out of range"),
+        ("joints", 0, 1.0, "outside the workspace"),
+        ("joints", 1, math.nan, "joints must be 7 finite numbers"),
+        ("joints", 6, 3.4, "joint positions out of range"),
+        ("joint_velocities", 3, 1e300, "joint velocities out of range"),
+        ("joint_velocities", 3, -2.3, "joint velocities out of range"),
+        ("commanded", 0, 1e9, "commanded velocity out of range"),
+        ("commanded", 2, -1.6, "commanded velocity out of range"),
+    ],
 )
-def test_a_memory_of_no_legal_arm_is_refused_and_changes_nothing(arm, index, value):
+def test_load_state_dict_rejects_illegal_values(arm, name, index, value, reason):
+    """A rejected state leaves the arm as it was."""
     arm.move((0.1, 0.0, 0.0), 0.2)
-    memory, pose = arm.memory, arm.pose
-    wrong = memory.copy()
-    wrong[index] = value
-    with pytest.raises(CommandError, match="is refused"):
-        arm.restore(wrong)
-    with pytest.raises(CommandError, match="memory of 2 numbers is refused: give 18 finite ones"):
-        arm.restore([1.0, 2.0])
-    np.testing.assert_array_equal(arm.memory, memory)
+    before, pose = arm.state_dict(), arm.pose
+    wrong = {key: array.copy() for key, array in before.items()}
+    wrong[name][index] = value
+    with pytest.raises(CommandError, match=f"arm state rejected: .*{reason}"):
+        arm.load_state_dict(wrong)
+    assert_same(arm.state_dict(), before)
     np.testing.assert_array_equal(arm.pose, pose)
+
+
+def test_load_state_dict_rejects_other_fields_and_shapes(arm):
+    state = arm.state_dict()
+    with pytest.raises(CommandError, match=r"fields are \['steps'\], expected"):
+        arm.load_state_dict({"steps": state["steps"]})
+    with pytest.raises(CommandError, match="joints must be 7 finite numbers"):
+        arm.load_state_dict({**state, "joints": np.zeros(2)})

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import Callable, List, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import Callable, Dict, List, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 
@@ -38,15 +38,15 @@ _LOOK = 0.05  # s, at most, between two looks of a waiting command
 _FOR_PERSONS = (Condition.USER_STOPPED, Condition.GUIDED, Condition.HELD)
 
 
-class Stop(Protocol):
-    """What tells a command that somebody has stopped the arm."""
+class StopSignal(Protocol):
+    """Set when a node stops the arm during a command."""
 
     @property
     def by(self) -> str:
-        """Who has."""
+        """Name of that node."""
 
-    def happened(self) -> bool:
-        """Whether somebody has."""
+    def is_set(self) -> bool:
+        """Whether the command must end."""
 
 
 class Reached(NamedTuple):
@@ -130,7 +130,7 @@ class FrankaDriver:
         """Held by whoever uses readiness."""
         return self._changed
 
-    def see_state(
+    def update_state(
         self,
         stamp: float,
         delay: float,
@@ -161,7 +161,7 @@ class FrankaDriver:
             self._changed.notify_all()
             return None if trouble else self._reached(False)
 
-    def see_control(self, **fields: object) -> None:
+    def update_control(self, **fields: object) -> None:
         """Take in what is known of controllers, rivals, heard: fields of Report."""
         with self._changed:
             self._report = self._report._replace(**fields)
@@ -178,7 +178,7 @@ class FrankaDriver:
             finally:
                 self._changed.notify_all()
 
-    def move(self, velocity: Sequence[float], duration: float, stop: Stop) -> Reached:
+    def move(self, velocity: Sequence[float], duration: float, stop: StopSignal) -> Reached:
         """Hold velocity (3,) m/s, m/s, rad/s for a duration, s of wall time, as far as limits allow -> the state then.
 
         The arm keeps the velocity for franka/coast more, so that the next move goes on from it, and then brakes by
@@ -197,7 +197,7 @@ class FrankaDriver:
             limited = command.limited or limits.differ(self._stream.velocity, limits.slowed(wanted))
             return self._reached(limited)
 
-    def go_to(self, pose: Sequence[float], stop: Stop) -> Reached:
+    def go_to(self, pose: Sequence[float], stop: StopSignal) -> Reached:
         """Go straight to a planar pose (3,) m, m, rad within the limits and stop there -> the state then.
 
         Raises CommandError for a pose outside the workspace, ArmFailedError when the arm does not get there in time;
@@ -240,6 +240,24 @@ class FrankaDriver:
             while not self._look().is_ready and self._clock() < ends_at:
                 self._pause(_LOOK)
             return self._readiness.is_ready
+
+    def values(self) -> Dict[str, object]:
+        """Return the figures for /diagnostics."""
+        lead = self.lead()
+        with self._changed:
+            readiness = self._readiness
+            return {
+                "robot": readiness.condition.value,
+                "mode": readiness.mode_in_words,
+                "errors": readiness.errors_in_words,
+                "age of the newest state [s]": readiness.age_in_words,
+                "controllers": readiness.controllers_in_words,
+                "recoveries": readiness.recoveries,
+                "recoveries in a row": readiness.recoveries_in_a_row,
+                "set-point ahead [m, rad]": "-" if lead is None else f"{lead[0]:.3f}, {lead[1]:.2f}",
+                "set-point drawn after the arm": self.yields,
+                "pose jumps": self.jumps,
+            }
 
     def why_not_ready(self) -> str:
         """A sentence on what keeps the arm from moving; empty when nothing does."""
@@ -330,9 +348,9 @@ class FrankaDriver:
                     "franka/max_turn_outside): guide it there by hand, or see to the camera's mount"
                 )
 
-    def _wait(self, command: _Command, stop: Stop, until: float) -> None:
+    def _wait(self, command: _Command, stop: StopSignal, until: float) -> None:
         """Let time pass until the next tick or state. Raises what has ended the command."""
-        if stop.happened():
+        if stop.is_set():
             self._command = _Retreat()
             raise ArmStoppedError(f"the command was broken off: the arm was stopped by {stop.by}")
         if command.why_broken_off:

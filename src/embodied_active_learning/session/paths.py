@@ -30,6 +30,7 @@ class SessionPaths:
         self.checkpoints = self.path / "checkpoints"
         self.model = self.path / "model.safetensors"
         self.planner = self.path / "planner.safetensors"
+        self.arm_states = self.path / "arm_states.safetensors"
         self.fingerprints = self.path / "fingerprints"
         self.identification = self.path / "identification"
         self.figures = self.path / "figures"

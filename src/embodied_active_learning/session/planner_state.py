@@ -15,7 +15,7 @@ from embodied_active_learning.session.array_files import read_arrays, write_arra
 
 _KIND = "planner"
 _RUN = "run/"
-_OWN = ("state", "velocity", "arm")
+_OWN = ("state", "velocity")
 _REMEDY = "delete it; the planner then goes on from the stored observations, with other random draws"
 _READER = FileReader(CorruptFileError, _REMEDY, limit=2**30)
 
@@ -28,7 +28,6 @@ class PlannerState:
     stamp: Tuple[int, int]  # s, ns: when it was taken
     state: np.ndarray  # (3,) m, m, rad: where
     velocity: np.ndarray  # (3,) m/s, m/s, rad/s
-    arm: np.ndarray  # (M,) what puts a simulated arm back there; empty for a real one
     run: Dict[str, np.ndarray]  # the exploration's memory before it
 
 
@@ -44,10 +43,10 @@ def load_memory(path: Path) -> Optional[PlannerState]:
     if not os.path.lexists(path):
         return None
     arrays, facts = read_arrays(path, _KIND, _READER)
-    for name, shape in (("state", (3,)), ("velocity", (3,)), ("arm", None)):
+    for name in _OWN:
         array = arrays.get(name)
         legal = array is not None and array.dtype == np.float64 and np.all(np.isfinite(array))
-        if not legal or array.ndim != 1 or (shape is not None and array.shape != shape):
+        if not legal or array.shape != (3,):
             raise CorruptFileError(f"{path}: {name} is not finite numbers of the right shape: {_REMEDY}")
     index, stamp = facts.get("index"), facts.get("stamp")
     if type(index) is not int or index < 0:
@@ -55,4 +54,4 @@ def load_memory(path: Path) -> Optional[PlannerState]:
     if not (isinstance(stamp, list) and len(stamp) == 2 and all(type(part) is int and part >= 0 for part in stamp)):
         raise CorruptFileError(f"{path}: stamp is {stamp!r}, expected seconds and nanoseconds: {_REMEDY}")
     run = {name[len(_RUN) :]: array for name, array in arrays.items() if name.startswith(_RUN)}
-    return PlannerState(index, (stamp[0], stamp[1]), arrays["state"], arrays["velocity"], arrays["arm"], run)
+    return PlannerState(index, (stamp[0], stamp[1]), arrays["state"], arrays["velocity"], run)

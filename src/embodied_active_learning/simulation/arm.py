@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from operator import add
-from typing import Callable, Dict, List, Optional, Sequence
+from typing import Callable, Dict, List, Mapping, Optional, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, CommandError, ConfigError
 from embodied_active_learning.motion_limits import MotionLimits
 from embodied_active_learning.simulation import servo
-from embodied_active_learning.simulation.panda_body import PandaBody
+from embodied_active_learning.simulation.panda_body import PandaBody, StateDict
 from embodied_active_learning.workspace import STATE_NAMES
 
 # The arm turns back this far inside the workspace (normalised), so that what little a physics step strays from its
@@ -25,7 +25,9 @@ _AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
 _SETTLING_STEPS = 100
 _HEIGHT_TOLERANCE = 0.01  # m
 _REST = [0.0, 0.0, 0.0]
-_LATEST = 2.0**31  # s: more than any simulation takes, and a stamp of ROS can hold
+_LATEST = 2.0**31  # s: the end of ROS time
+# What physics adds to legal joint positions [rad] and speeds (factor) within a step.
+_JOINT_SLACK, _JOINT_SPEED_SLACK = 1e-3, 1.01
 _REACH_GRID = (5, 5, 3)  # poses tried along x, y and theta: odd, so that the middle is among them
 
 
@@ -97,33 +99,45 @@ class SimulatedArm:
         """Velocity of each of the seven joints, rad/s."""
         return {name: state[1] for name, state in self._body.joint_states().items()}
 
-    @property
-    def memory(self) -> np.ndarray:
-        """(M,) all that decides how the arm will move: physics steps, joints, their speeds, the commanded velocity."""
-        return np.concatenate([self._body.memory, self._commanded])
+    def state_dict(self) -> StateDict:
+        """Return everything that determines the further motion.
 
-    def restore(self, memory: Sequence[float]) -> None:
-        """Be where and as the arm was whose memory (M,) this is, at its time too.
-
-        Raises CommandError, with the arm where it was, for what is no memory or lies outside workspace or limits.
+        Returns:
+            `steps` (1,), `joints` (7,) [rad], `joint_velocities` (7,) [rad/s] and `commanded` (3,) [m/s, m/s, rad/s].
         """
-        numbers = np.asarray(memory, dtype=np.float64)
-        if numbers.shape != self.memory.shape or not np.isfinite(numbers).all():
-            raise CommandError(f"memory of {numbers.size} numbers is refused: give {self.memory.size} finite ones")
-        commanded = numbers[-len(STATE_NAMES) :].tolist()
-        is_time = 0.0 <= numbers[0] * self._body.period <= _LATEST
-        if not is_time or self._limits.differ(self._limits.slowed(commanded), commanded):
-            raise CommandError("memory is refused: its time or its velocity is none that an arm within its limits has")
-        before = self.memory
-        self._recall(numbers)
-        if not self._workspace.contains(self._pose) or abs(self.camera_height - self._height) > _HEIGHT_TOLERANCE:
-            self._recall(before)
-            raise CommandError("memory is refused: it is of an arm outside the workspace")
+        return {**self._body.state_dict(), "commanded": np.array(self._commanded)}
 
-    def _recall(self, memory: np.ndarray) -> None:
-        commands = len(STATE_NAMES)
-        self._body.recall(memory[:-commands])
-        self._commanded = memory[-commands:].tolist()
+    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
+        """Return to a state of `state_dict()`, including its simulated time; the motion continues bit for bit.
+
+        Raises:
+            CommandError: The state is malformed or violates joint, speed or workspace limits; the arm is unchanged.
+        """
+        arrays = _checked_arrays(state, self.state_dict())
+        self._check_limits(arrays)
+        before = self.state_dict()
+        self._load(arrays)
+        if not self._workspace.contains(self._pose) or abs(self.camera_height - self._height) > _HEIGHT_TOLERANCE:
+            self._load(before)
+            raise CommandError("arm state rejected: the camera is outside the workspace or off its height")
+
+    def _check_limits(self, state: Mapping[str, np.ndarray]) -> None:
+        """Raise CommandError if time, commanded velocity, joint positions or joint velocities are out of range."""
+        commanded, (lower, upper, speed) = state["commanded"].tolist(), servo.JOINT_LIMITS.T
+        joints, joint_velocities = state["joints"], state["joint_velocities"]
+        legal = {
+            "time": 0.0 <= state["steps"][0] * self._body.period <= _LATEST,
+            "commanded velocity": not self._limits.differ(self._limits.slowed(commanded), commanded),
+            "joint positions": np.all((joints >= lower - _JOINT_SLACK) & (joints <= upper + _JOINT_SLACK)),
+            "joint velocities": np.all(np.abs(joint_velocities) <= _JOINT_SPEED_SLACK * speed),
+        }
+        wrong = [name for name, is_legal in legal.items() if not is_legal]
+        if wrong:
+            raise CommandError(f"arm state rejected: {', '.join(wrong)} out of range")
+
+    def _load(self, state: Mapping[str, np.ndarray]) -> None:
+        self._body.load_state_dict(state)
+        self._commanded = state["commanded"].tolist()
         self._sense()
 
     def move(
@@ -209,3 +223,14 @@ class SimulatedArm:
         axes = (np.linspace(*limits) for limits in zip(self._limits.lower, self._limits.upper, _REACH_GRID))
         for pose in itertools.product(*axes):
             self._place(np.array(pose))
+
+
+def _checked_arrays(state: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray]) -> StateDict:
+    """Return the arrays as float64. Raises CommandError for other names or shapes, and for non-finite values."""
+    if set(state) != set(expected):
+        raise CommandError(f"arm state rejected: fields are {sorted(state)}, expected {sorted(expected)}")
+    arrays = {name: np.asarray(state[name], dtype=np.float64) for name in expected}
+    for name, array in arrays.items():
+        if array.shape != expected[name].shape or not np.isfinite(array).all():
+            raise CommandError(f"arm state rejected: {name} must be {expected[name].size} finite numbers")
+    return arrays

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Dict, Tuple
+from typing import Dict, Mapping, Tuple
 
 import numpy as np
 import pybullet
@@ -13,6 +13,8 @@ from embodied_active_learning.simulation.panda import ARM_JOINTS, OPTICAL_FRAME,
 
 Rotation = Tuple[Tuple[float, ...], ...]
 """(3, 3), row by row."""
+StateDict = Dict[str, np.ndarray]
+"""Named float64 arrays that determine the further motion of a simulated arm."""
 
 # The Panda compensates gravity itself and its servos follow a commanded joint velocity within a millisecond: the model
 # of that is no gravity, and motors strong enough to follow at once.
@@ -56,16 +58,19 @@ class PandaBody:
         """Seconds of one physics step."""
         return 1.0 / self._rate
 
-    @property
-    def memory(self) -> np.ndarray:
-        """(15,) physics steps, and positions rad and velocities rad/s of the arm's joints."""
+    def state_dict(self) -> StateDict:
+        """Return physics `steps` (1,), `joints` (7,) [rad] and `joint_velocities` (7,) [rad/s]."""
         states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)
-        return np.array([self._steps, *(state[0] for state in states), *(state[1] for state in states)], dtype=float)
+        return {
+            "steps": np.array([self._steps], dtype=np.float64),
+            "joints": np.array([state[0] for state in states]),
+            "joint_velocities": np.array([state[1] for state in states]),
+        }
 
-    def recall(self, memory: np.ndarray) -> None:
-        """Be as the body was whose memory (15,) this is."""
-        self._steps = int(memory[0])
-        self._reset(*np.split(memory[1:], 2))
+    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
+        """Set physics steps, joint positions and joint velocities. The values are not checked."""
+        self._steps = int(state["steps"][0])
+        self._reset(state["joints"], state["joint_velocities"])
 
     def joint_states(self) -> Dict[str, Tuple[float, float]]:
         """Position [rad] and velocity [rad/s] of every joint by name."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from types import TracebackType
-from typing import Dict, Optional, Sequence, Tuple, Type
+from typing import Dict, Mapping, Optional, Sequence, Tuple, Type
 
 import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.simulation.arm import MoveResult, SimulatedArm
 from embodied_active_learning.simulation.disturbance import Disturbance
+from embodied_active_learning.simulation.panda_body import StateDict
 from embodied_active_learning.simulation.scene import Scene, SceneObject
 from embodied_active_learning.simulation.world import World
 
@@ -79,14 +80,13 @@ class Simulation:
         """The truth about every object on the table."""
         return self._scene.objects
 
-    @property
-    def memory(self) -> np.ndarray:
-        """(M,) all that decides what comes next, but for what the configuration and the world say."""
-        return self._arm.memory
+    def state_dict(self) -> StateDict:
+        """Return everything that, with configuration and world, determines what follows; see SimulatedArm."""
+        return self._arm.state_dict()
 
-    def restore(self, memory: Sequence[float]) -> None:
-        """Go back, or forward, to a memory (M,). Raises CommandError, with nothing changed, for what is none."""
-        self._arm.restore(memory)
+    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
+        """Return to a state of `state_dict()`. Raises CommandError, with nothing changed, if it is invalid."""
+        self._arm.load_state_dict(state)
 
     def intrinsics(self) -> np.ndarray:
         """(3, 3) camera matrix K in pixels, pixel centres at whole numbers."""

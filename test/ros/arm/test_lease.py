@@ -1,4 +1,4 @@
-"""A commander's hold on the arm, by its own account."""
+"""A commander's lease on the arm."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from embodied_active_learning.ros.arm.lease import Lease
 LONG = 1000.0
 
 
-def test_nothing_is_held_before_the_first_command_nor_after_the_end():
+def test_lease_is_held_from_first_command_until_end():
     lease = Lease(LONG, lambda: True)
     assert not lease.is_held
     lease.renew()
@@ -17,8 +17,8 @@ def test_nothing_is_held_before_the_first_command_nor_after_the_end():
     assert not lease.is_held
 
 
-def test_nothing_is_asked_for_while_nothing_is_held():
-    lease = Lease(LONG, lambda: pytest.fail("asked"))
+def test_no_heartbeat_without_lease():
+    lease = Lease(LONG, lambda: pytest.fail("heartbeat sent"))
     lease.extend()
     lease.renew()
     lease.end()
@@ -26,30 +26,30 @@ def test_nothing_is_asked_for_while_nothing_is_held():
 
 
 @pytest.mark.parametrize("granted", [True, False])
-def test_the_arm_decides_whether_it_is_still_held(granted):
+def test_arm_grants_or_denies_extension(granted):
     lease = Lease(LONG, lambda: granted)
     lease.renew()
     lease.extend()
     assert lease.is_held == granted
 
 
-def test_an_arm_that_does_not_answer_takes_nothing_away():
-    def keep():
+def test_missing_response_keeps_lease():
+    def heartbeat():
         raise NoResponseError("gone")
 
-    lease = Lease(LONG, keep)
+    lease = Lease(LONG, heartbeat)
     lease.renew()
     lease.extend()
     assert lease.is_held
 
 
 @pytest.mark.parametrize(("act", "granted", "held"), [("end", True, False), ("renew", False, True)])
-def test_what_happens_while_the_arm_is_asked_counts_more_than_its_answer(act, granted, held):
-    def keep():
+def test_event_during_heartbeat_overrides_response(act, granted, held):
+    def heartbeat():
         getattr(lease, act)()
         return granted
 
-    lease = Lease(LONG, keep)
+    lease = Lease(LONG, heartbeat)
     lease.renew()
     lease.extend()
     assert lease.is_held == held

@@ -1,4 +1,4 @@
-"""Moving and looking with patience, and pauses, with an arm and a camera that fail on demand and without a master."""
+"""Retries, timeouts and pauses of the arm client, with an arm and a camera that fail on demand; no ROS master."""
 
 import threading
 import time
@@ -18,8 +18,7 @@ from embodied_active_learning.errors import (
     ObservationError,
 )
 from embodied_active_learning.exploration.commands import VelocityCommand
-from embodied_active_learning.ros.arm import retrying_arm
-from embodied_active_learning.ros.arm.client import Reached
+from embodied_active_learning.ros.arm import retry, retrying_arm
 from embodied_active_learning.ros.conversions import image_message, state_message
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
 from threads import in_a_thread, wait_for
@@ -29,85 +28,91 @@ REACHED = state_message(rospy.Time(1), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Arm:
-    """Records what it is told; the next calls fail with `failures`, in their order."""
+    """Records its calls; the next ones fail with `failures`, in their order."""
+
+    can_restore = False
 
     def __init__(self):
-        self.told = []
+        self.calls = []
         self.failures = []
-        self.keeps = 0
-        self.answers = threading.Event()
-        self.answers.set()
+        self.heartbeats = 0
+        self.responds = threading.Event()
+        self.responds.set()
 
     def move(self, velocity, duration):
-        return self._answer(("move", *velocity))
+        return self._respond(("move", *velocity))
 
     def go_to(self, pose):
-        return self._answer(("go_to", *pose))
+        return self._respond(("go_to", *pose))
 
     def stop(self):
-        self._answer(("stop",))
+        self._respond(("stop",))
 
-    def keep(self):
-        self.keeps += 1
+    def heartbeat(self):
+        self.heartbeats += 1
         return True
 
-    def _answer(self, told):
-        self.told.append(told)
-        assert self.answers.wait(10.0)
+    def _respond(self, call):
+        self.calls.append(call)
+        assert self.responds.wait(10.0)
         if self.failures:
             raise self.failures.pop(0)
-        return Reached(REACHED, np.empty(0))
+        return REACHED
 
 
 class SimulatedArm(Arm):
-    """Knows the time that it has moved for, which is also its memory, and who drives it; can be started anew."""
+    """Counts its commands as seconds; can be killed and restarted, and return to any time in `saved`."""
+
+    can_restore = True
 
     def __init__(self, camera):
         super().__init__()
         self._camera = camera
         self._time = 0
-        self.is_driven = False
+        self.saved = range(100)
+        self.has_commander = False
         self.is_dead = False
-        self.stops_that_last = 0
+        self.emergency_stops = 0
 
     def move(self, velocity, duration):
-        self._answer(("move", *velocity))
+        self._respond(("move", *velocity))
         return self._advance()
 
     def go_to(self, pose):
-        self._answer(("go_to", *pose))
+        self._respond(("go_to", *pose))
         return self._advance()
 
-    def restore(self, memory):
-        self._answer(("restore", *memory))
-        return self._be_at(int(memory[0]))
+    def restore(self, stamp):
+        self._respond(("restore", stamp.secs))
+        if stamp.secs not in self.saved:
+            raise CommandError("no saved arm state")
+        return self._set_time(stamp.secs)
 
     def stop(self):
-        self._answer(("stop",))
-        self.stops_that_last += not self.is_driven
+        self._respond(("stop",))
+        self.emergency_stops += not self.has_commander
         self._advance()
-        self.is_driven = False
+        self.has_commander = False
 
-    def keep(self):
-        return self.is_driven
+    def heartbeat(self):
+        return self.has_commander
 
-    def begin_anew(self):
-        self.is_dead, self.is_driven, self._time = False, False, 0
-        self._camera.see_time(0)
+    def restart(self):
+        self.is_dead, self.has_commander, self._time = False, False, 0
+        self._camera.receive_time(0)
 
     def _advance(self):
-        return self._be_at(self._time + 1)
+        return self._set_time(self._time + 1)
 
-    def _be_at(self, time):
-        self._time, self.is_driven = time, True
-        self._camera.see_time(time)
-        state = state_message(rospy.Time(time), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
-        return Reached(state, np.array([float(time)]))
+    def _set_time(self, time):
+        self._time, self.has_commander = time, True
+        self._camera.receive_time(time)
+        return state_message(rospy.Time(time), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
 
-    def _answer(self, told):
-        super()._answer(told)
+    def _respond(self, call):
+        super()._respond(call)
         if self.is_dead:
-            raise NoResponseError("it does not answer")
+            raise NoResponseError("no response")
 
 
 class Camera:
@@ -117,7 +122,7 @@ class Camera:
     def __init__(self):
         self.failures = []
 
-    def see_time(self, time):
+    def receive_time(self, time):
         stamp = rospy.Time(time)
         self.restarts += self.newest_state is not None and stamp < self.newest_state
         self.newest_state = stamp
@@ -139,12 +144,12 @@ def arm(monkeypatch):
 def camera(monkeypatch):
     camera = Camera()
     monkeypatch.setattr(retrying_arm, "PosedCamera", lambda config: camera)
-    monkeypatch.setattr(retrying_arm, "RETRY_PERIOD", 0.01)
+    monkeypatch.setattr(retry, "RETRY_PERIOD", 0.01)
     return camera
 
 
 @pytest.fixture
-def guided(arm, camera):
+def retrying(arm, camera):
     return retrying_arm.RetryingArm(Config())
 
 
@@ -155,329 +160,364 @@ def simulated(monkeypatch, camera):
     return arm
 
 
-def test_a_refused_command_becomes_standing_still_until_the_arm_takes_that(arm, guided):
+def test_rejected_command_becomes_hold_until_accepted(arm, retrying):
     arm.failures = [CommandError("refused"), CommandError("refused again")]
-    assert guided.execute(FORWARD) is REACHED
-    assert arm.told == [("move", 0.1, 0.0, 0.0), ("move", 0.0, 0.0, 0.0), ("move", 0.0, 0.0, 0.0)]
-    assert guided.held
-    assert guided.trouble.startswith("refused again (try 2 of 6, the next in ")
-    guided.look(REACHED)
-    assert guided.trouble == ""
-    guided.execute(FORWARD)
-    assert not guided.held
+    assert retrying.execute(FORWARD) is REACHED
+    assert arm.calls == [("move", 0.1, 0.0, 0.0), ("move", 0.0, 0.0, 0.0), ("move", 0.0, 0.0, 0.0)]
+    assert retrying.was_held
+    assert retrying.error.startswith("refused again (attempt 2 of 6, next in ")
+    retrying.observe(REACHED)
+    assert retrying.error == ""
+    retrying.execute(FORWARD)
+    assert not retrying.was_held
 
 
-def test_a_pose_that_was_refused_is_tried_again(arm, guided):
+def test_go_to_retries_rejected_pose(arm, retrying):
     arm.failures = [CommandError("refused")]
-    guided.go_to((0.4, 0.1, 1.0))
-    assert arm.told == 2 * [("go_to", 0.4, 0.1, 1.0)]
-    assert guided.trouble == ""
+    retrying.go_to((0.4, 0.1, 1.0))
+    assert arm.calls == 2 * [("go_to", 0.4, 0.1, 1.0)]
+    assert retrying.error == ""
 
 
-def test_an_image_is_awaited_standing_still(arm, camera, guided):
+def test_observe_holds_still_until_image(arm, camera, retrying):
     camera.failures = [ObservationError("no image")]
-    image, state = guided.look(REACHED)
+    image, state = retrying.observe(REACHED)
     assert (image.header.stamp, image.height, image.width, state) == (REACHED.header.stamp, 2, 2, REACHED)
-    assert arm.told == [("move", 0.0, 0.0, 0.0)]
-    assert guided.held
+    assert arm.calls == [("move", 0.0, 0.0, 0.0)]
+    assert retrying.was_held
 
 
 @pytest.mark.parametrize("act", [lambda arm: arm.execute(FORWARD), lambda arm: arm.go_to((0.4, 0.1, 1.0))])
-def test_when_patience_has_ended_the_last_refusal_is_raised(arm, camera, act):
-    guided = retrying_arm.RetryingArm(Config(), patience=0.2)
+def test_timeout_raises_last_rejection(arm, camera, act):
+    retrying = retrying_arm.RetryingArm(Config(), timeout=0.2)
     arm.failures = [ArmBusyError(f"refusal {count}") for count in range(10**4)]
     with pytest.raises(ArmBusyError, match="refusal") as refusal:
-        act(guided)
-    assert str(refusal.value) == f"refusal {len(arm.told) - 1}"
-    assert len(arm.told) > 1
-    assert guided.trouble == "", "nobody is trying any more"
+        act(retrying)
+    assert str(refusal.value) == f"refusal {len(arm.calls) - 1}"
+    assert len(arm.calls) > 1
+    assert retrying.error == "", "nothing is retried any more"
 
 
-def test_when_patience_has_ended_the_missing_image_is_told(arm, camera):
-    guided = retrying_arm.RetryingArm(Config(), patience=0.0)
+def test_timeout_raises_missing_image(arm, camera):
+    retrying = retrying_arm.RetryingArm(Config(), timeout=0.0)
     camera.failures = [ObservationError("no image")]
     with pytest.raises(ObservationError, match="no image"):
-        guided.look(REACHED)
-    assert arm.told == []
+        retrying.observe(REACHED)
+    assert arm.calls == []
 
 
-def test_patience_for_an_image_counts_the_refusals_meanwhile(arm, camera):
-    guided = retrying_arm.RetryingArm(Config(), patience=0.2)
+def test_observe_timeout_includes_rejected_commands(arm, camera):
+    retrying = retrying_arm.RetryingArm(Config(), timeout=0.2)
     camera.failures = [ObservationError("no image")]
     arm.failures = [ArmStoppedError("refused") for _ in range(10**4)]
     started = time.monotonic()
     with pytest.raises(CommandError, match="refused"):
-        guided.look(REACHED)
+        retrying.observe(REACHED)
     assert time.monotonic() - started < 2.0
 
 
 @pytest.mark.parametrize("error_class", [CommandError, ArmFailedError])
 @pytest.mark.parametrize("act", [lambda arm: arm.execute(FORWARD), lambda arm: arm.go_to((0.4, 0.1, 1.0))])
-def test_an_arm_that_goes_on_failing_is_given_up_and_stopped(arm, guided, act, error_class):
+def test_failing_arm_is_given_up_and_stopped(arm, retrying, act, error_class):
     arm.failures = [error_class("in reflex mode") for _ in range(10**4)]
-    with pytest.raises(error_class, match=r"in reflex mode \(gave up after 6 tries\)"):
-        act(guided)
-    assert len(arm.told) == 6
-    assert guided.trouble == "", "nobody is trying any more"
+    with pytest.raises(error_class, match=r"in reflex mode \(gave up after 6 attempts\)"):
+        act(retrying)
+    assert len(arm.calls) == 6
+    assert retrying.error == "", "nothing is retried any more"
     arm.failures.clear()
-    guided.stop()
-    assert arm.told[-1] == ("stop",), "it may still move"
+    retrying.stop()
+    assert arm.calls[-1] == ("stop",), "the arm may still move"
 
 
-def test_an_arm_that_can_only_stand_still_is_given_up_as_well(arm, guided):
+def test_successful_hold_does_not_reset_failure_count(arm, retrying):
     def step():
         arm.failures = [CommandError("refused")]
-        guided.execute(FORWARD)
+        retrying.execute(FORWARD)
 
     for _ in range(5):
         step()
-    with pytest.raises(CommandError, match="gave up after 6 tries"):
+    with pytest.raises(CommandError, match="gave up after 6 attempts"):
         step()
 
 
-def test_an_arm_that_recovers_within_its_tries_has_them_all_again(arm, guided):
+def test_success_resets_failure_count(arm, retrying):
     for _ in range(3):
         arm.failures = [ArmFailedError("in reflex mode") for _ in range(5)]
-        guided.execute(FORWARD)
-        guided.execute(FORWARD)
-    assert arm.told[-1] == ("move", 0.1, 0.0, 0.0)
+        retrying.execute(FORWARD)
+        retrying.execute(FORWARD)
+    assert arm.calls[-1] == ("move", 0.1, 0.0, 0.0)
 
 
-def test_tries_come_at_growing_intervals(arm, guided, monkeypatch):
+def test_retry_pause_doubles_up_to_maximum(arm, retrying, monkeypatch):
     waits = []
     monkeypatch.setattr(retrying_arm, "wall_sleep", waits.append)
-    monkeypatch.setattr(retrying_arm, "LONGEST_RETRY_PERIOD", 0.05)
+    monkeypatch.setattr(retry, "MAX_RETRY_PERIOD", 0.05)
     arm.failures = [ArmFailedError("in reflex mode") for _ in range(5)]
-    guided.execute(FORWARD)
+    retrying.execute(FORWARD)
     assert waits == [0.01, 0.02, 0.04, 0.05, 0.05]
 
 
 @pytest.mark.parametrize("error_class", [ArmStoppedError, ArmBusyError, NoResponseError])
-def test_what_only_time_or_a_person_can_mend_is_waited_for(arm, guided, error_class):
+def test_uncounted_failures_are_retried_forever(arm, retrying, error_class):
     arm.failures = [error_class("not now") for _ in range(20)]
-    assert guided.execute(FORWARD) is REACHED
-    assert len(arm.told) == 21
-    assert guided.health(Health(message="exploring")) == Health(ERROR, "the arm stands still: not now")
+    assert retrying.execute(FORWARD) is REACHED
+    assert len(arm.calls) == 21
+    assert retrying.health(Health(message="exploring")) == Health(ERROR, "arm held still: not now")
 
 
-def test_health_tells_of_a_pause_and_of_whom_it_awaits(guided):
-    assert guided.health(Health(message="exploring")) == Health(message="exploring")
-    guided.pause("a call of /planner/resume")
-    assert guided.health(Health(message="exploring")) == Health(
+def test_health_reports_pause_and_what_it_waits_for(retrying):
+    assert retrying.health(Health(message="exploring")) == Health(message="exploring")
+    retrying.pause("a call of /planner/resume")
+    assert retrying.health(Health(message="exploring")) == Health(
         WARN, "paused, waiting for a call of /planner/resume", idle=True
     )
 
 
-def test_the_arm_is_kept_while_its_driver_waits_and_no_longer_when_it_has_given_it_back(arm, camera):
+def test_heartbeats_keep_control_until_stop(arm, camera):
     timeout = 0.3
-    guided = retrying_arm.RetryingArm(replace(Config(), arm=replace(Config().arm, commander_timeout=timeout)))
+    retrying = retrying_arm.RetryingArm(replace(Config(), arm=replace(Config().arm, commander_timeout=timeout)))
     time.sleep(timeout)
-    assert arm.keeps == 0, "it has not commanded anything yet"
-    guided.execute(FORWARD)
-    wait_for(lambda: arm.keeps > 4)
-    assert guided.is_ours, "longer than the arm grants after a command"
-    guided.stop()
-    assert not guided.is_ours
-    kept = arm.keeps
+    assert arm.heartbeats == 0, "nothing was commanded yet"
+    retrying.execute(FORWARD)
+    wait_for(lambda: arm.heartbeats > 4)
+    assert retrying.in_control, "beyond the timeout of the command"
+    retrying.stop()
+    assert not retrying.in_control
+    sent = arm.heartbeats
     time.sleep(timeout)
-    assert arm.keeps <= kept + 1, "one may have been under way"
-    assert not guided.is_ours
+    assert arm.heartbeats <= sent + 1, "one may have been in progress"
+    assert not retrying.in_control
 
 
-def test_an_arm_that_was_lost_is_not_ours_any_more(arm, camera):
-    arm.keep = lambda: False
-    guided = retrying_arm.RetryingArm(replace(Config(), arm=replace(Config().arm, commander_timeout=0.3)))
-    guided.execute(FORWARD)
-    wait_for(lambda: not guided.is_ours)
-    guided.stop()
-    assert ("stop",) not in arm.told
+def test_denied_heartbeat_ends_control(arm, camera):
+    arm.heartbeat = lambda: False
+    retrying = retrying_arm.RetryingArm(replace(Config(), arm=replace(Config().arm, commander_timeout=0.3)))
+    retrying.execute(FORWARD)
+    wait_for(lambda: not retrying.in_control)
+    retrying.stop()
+    assert ("stop",) not in arm.calls
 
 
-def test_a_stop_gives_the_arm_back_and_is_asked_for_once(arm, guided):
-    guided.execute(FORWARD)
-    assert guided.is_ours
-    guided.stop()
-    assert not guided.is_ours
-    guided.stop()
-    assert arm.told.count(("stop",)) == 1
+def test_stop_releases_control_once(arm, retrying):
+    retrying.execute(FORWARD)
+    assert retrying.in_control
+    retrying.stop()
+    assert not retrying.in_control
+    retrying.stop()
+    assert arm.calls.count(("stop",)) == 1
 
 
-def test_an_arm_that_another_node_drives_is_not_stopped(arm, guided):
-    arm.failures = [ArmBusyError("driven by another node") for _ in range(10**4)]
-    command = in_a_thread(guided.execute, FORWARD)
-    wait_for(lambda: len(arm.told) > 2)
-    guided.stop()
-    assert ("stop",) not in arm.told
+def test_stop_without_control_sends_nothing(arm, retrying):
+    arm.failures = [ArmBusyError("controlled by another node") for _ in range(10**4)]
+    command = in_a_thread(retrying.execute, FORWARD)
+    wait_for(lambda: len(arm.calls) > 2)
+    retrying.stop()
+    assert ("stop",) not in arm.calls
     arm.failures.clear()
     command.join(10.0)
 
 
-def test_an_arm_that_may_have_taken_a_command_is_stopped(arm, camera):
-    guided = retrying_arm.RetryingArm(Config(), patience=0.0)
+def test_stop_after_unanswered_command(arm, camera):
+    retrying = retrying_arm.RetryingArm(Config(), timeout=0.0)
     arm.failures = [NoResponseError("the connection broke")]
     with pytest.raises(CommandError, match="broke"):
-        guided.execute(FORWARD)
-    guided.stop()
-    assert arm.told[-1] == ("stop",)
+        retrying.execute(FORWARD)
+    retrying.stop()
+    assert arm.calls[-1] == ("stop",)
 
 
-def test_a_stop_that_fails_or_is_not_answered_is_an_error_and_happens_later(arm, guided):
-    guided.execute(FORWARD)
+def test_late_stop_raises_and_happens_later(arm, retrying):
+    retrying.execute(FORWARD)
     arm.failures = [CommandError("it keeps moving")]
     with pytest.raises(CommandError, match="keeps moving"):
-        guided.stop()
-    arm.answers.clear()
-    step = in_a_thread(guided.execute, FORWARD)
-    wait_for(lambda: arm.told[-1][0] == "move")
-    with pytest.raises(CommandError, match=r"not answered within 0\.1 s"):
-        guided.stop(0.1)
-    arm.answers.set()
+        retrying.stop()
+    arm.responds.clear()
+    step = in_a_thread(retrying.execute, FORWARD)
+    wait_for(lambda: arm.calls[-1][0] == "move")
+    with pytest.raises(CommandError, match=r"not responded within 0\.1 s"):
+        retrying.stop(0.1)
+    arm.responds.set()
     step.join(10.0)
-    wait_for(lambda: not guided.is_ours)
-    assert arm.told[-1] == ("stop",)
+    wait_for(lambda: not retrying.in_control)
+    assert arm.calls[-1] == ("stop",)
 
 
-def test_pause_and_resume_tell_whether_they_changed_anything(guided):
-    assert not guided.resume()
-    assert guided.pause("a call")
-    assert not guided.pause("a call")
-    assert guided.is_paused
-    assert guided.resume()
-    assert not guided.is_paused
-    assert not guided.wait_while_paused()
+def test_pause_and_resume_report_change(retrying):
+    assert not retrying.resume()
+    assert retrying.pause("a call")
+    assert not retrying.pause("a call")
+    assert retrying.is_paused
+    assert retrying.resume()
+    assert not retrying.is_paused
+    assert not retrying.wait_while_paused()
 
 
-def test_a_stop_in_a_pause_comes_after_the_command_under_way_and_nothing_after_it(arm, guided):
-    guided.execute(FORWARD)
-    arm.answers.clear()
-    step = in_a_thread(guided.execute, FORWARD)
-    wait_for(lambda: len(arm.told) == 2)
-    guided.pause("a call")
-    stop = in_a_thread(guided.stop)
+def test_stop_during_pause_follows_command_in_progress(arm, retrying):
+    retrying.execute(FORWARD)
+    arm.responds.clear()
+    step = in_a_thread(retrying.execute, FORWARD)
+    wait_for(lambda: len(arm.calls) == 2)
+    retrying.pause("a call")
+    stop = in_a_thread(retrying.stop)
     time.sleep(0.1)
-    assert len(arm.told) == 2, "the command under way has not been answered"
-    arm.answers.set()
+    assert len(arm.calls) == 2, "the command in progress has not returned"
+    arm.responds.set()
     step.join(10.0)
     stop.join(10.0)
-    later = in_a_thread(guided.execute, FORWARD)
+    later = in_a_thread(retrying.execute, FORWARD)
     time.sleep(0.1)
-    assert arm.told[2:] == [("stop",)]
-    guided.resume()
+    assert arm.calls[2:] == [("stop",)]
+    retrying.resume()
     later.join(10.0)
-    assert arm.told[3:] == [("move", 0.0, 0.0, 0.0)], "the velocity was chosen for where the arm was before"
-    assert guided.held
+    assert arm.calls[3:] == [("move", 0.0, 0.0, 0.0)], "the velocity was planned before the pause"
+    assert retrying.was_held
 
 
-def test_a_pause_also_ends_the_tries_of_an_arm_in_trouble(arm, camera, guided):
+def test_pause_suspends_retries(arm, camera, retrying):
     camera.failures = [ObservationError("no image") for _ in range(10**4)]
-    look = in_a_thread(guided.look, REACHED)
-    wait_for(lambda: len(arm.told) > 2)
-    guided.pause("a call")
-    guided.stop()
+    look = in_a_thread(retrying.observe, REACHED)
+    wait_for(lambda: len(arm.calls) > 2)
+    retrying.pause("a call")
+    retrying.stop()
     time.sleep(0.1)
-    assert arm.told[-1] == ("stop",)
+    assert arm.calls[-1] == ("stop",)
     camera.failures.clear()
-    guided.resume()
+    retrying.resume()
     look.join(10.0)
     assert not look.is_alive()
 
 
-def moves(arm):
-    return [told[0] if told[0] != "restore" else told for told in arm.told]
+def kinds(arm):
+    """Names of the calls; those of restore with their argument."""
+    return [call if call[0] == "restore" else call[0] for call in arm.calls]
 
 
-def test_a_simulated_arm_that_was_started_anew_is_put_back_before_the_next_command(simulated):
-    guided = retrying_arm.RetryingArm(Config())
-    guided.execute(FORWARD)
-    simulated.begin_anew()
-    assert guided.is_ours, "it will be where it was left"
-    assert guided.execute(FORWARD).header.stamp == rospy.Time(2)
-    assert moves(simulated) == ["move", ("restore", 1.0), "move"]
-    assert not guided.held, "nothing has happened"
+def test_restarted_simulation_is_restored_before_command(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    simulated.restart()
+    assert retrying.in_control, "it returns to where it was left"
+    assert retrying.execute(FORWARD).header.stamp == rospy.Time(2)
+    assert kinds(simulated) == ["move", ("restore", 1.0), "move"]
+    assert not retrying.was_held, "the restart has no effect"
 
 
-def test_a_command_that_a_simulated_arm_has_not_survived_is_carried_out_again(simulated):
-    guided = retrying_arm.RetryingArm(Config())
-    guided.execute(FORWARD)
+def test_command_is_repeated_after_simulation_restart(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
     simulated.is_dead = True
-    step = in_a_thread(guided.execute, FORWARD)
-    wait_for(lambda: len(simulated.told) > 3)
-    assert guided.trouble == "it does not answer"
-    simulated.begin_anew()
+    step = in_a_thread(retrying.execute, FORWARD)
+    wait_for(lambda: len(simulated.calls) > 3)
+    assert retrying.error == "no response"
+    simulated.restart()
     step.join(10.0)
-    assert moves(simulated)[-2:] == [("restore", 1.0), "move"]
-    assert simulated.told[-1] == ("move", 0.1, 0.0, 0.0)
-    assert not guided.held
+    assert kinds(simulated)[-2:] == [("restore", 1.0), "move"]
+    assert simulated.calls[-1] == ("move", 0.1, 0.0, 0.0)
+    assert not retrying.was_held
 
 
-def test_an_answer_of_another_simulated_arm_than_the_one_that_was_there_does_not_count(simulated, camera):
-    guided = retrying_arm.RetryingArm(Config())
+def test_response_of_restarted_simulation_is_discarded(simulated, camera):
+    retrying = retrying_arm.RetryingArm(Config())
     for _ in range(3):
-        guided.execute(FORWARD)
+        retrying.execute(FORWARD)
     restarts = camera.restarts
-    simulated.begin_anew()
+    simulated.restart()
     camera.restarts = restarts  # its states have not come yet
-    assert guided.execute(FORWARD).header.stamp == rospy.Time(4)
-    assert moves(simulated)[3:] == ["move", ("restore", 3.0), "move"]
+    assert retrying.execute(FORWARD).header.stamp == rospy.Time(4)
+    assert kinds(simulated)[3:] == ["move", ("restore", 3.0), "move"]
 
 
-def test_an_image_that_a_simulated_arm_has_not_survived_is_shown_again(simulated, camera):
-    guided = retrying_arm.RetryingArm(Config())
-    reached = guided.execute(FORWARD)
+def test_image_is_repeated_after_simulation_restart(simulated, camera):
+    retrying = retrying_arm.RetryingArm(Config())
+    reached = retrying.execute(FORWARD)
     simulated.is_dead = True
     camera.failures = [ObservationError("no image")]
-    look = in_a_thread(guided.look, reached)
-    wait_for(lambda: len(simulated.told) > 2)
-    simulated.begin_anew()
+    look = in_a_thread(retrying.observe, reached)
+    wait_for(lambda: len(simulated.calls) > 2)
+    simulated.restart()
     look.join(10.0)
-    assert set(moves(simulated)[1:]) == {("restore", 1.0)}
-    assert not guided.held
+    assert set(kinds(simulated)[1:]) == {("restore", 1.0)}
+    assert not retrying.was_held
 
 
-def test_a_camera_that_stays_silent_beside_a_simulated_arm_is_told_of(simulated, camera):
-    guided = retrying_arm.RetryingArm(Config())
-    reached = guided.execute(FORWARD)
+def test_silent_camera_of_simulation_holds_arm(simulated, camera):
+    retrying = retrying_arm.RetryingArm(Config())
+    reached = retrying.execute(FORWARD)
     camera.failures = [ObservationError("no image"), ObservationError("no image")]
-    guided.look(reached)
-    assert moves(simulated) == ["move", ("restore", 1.0), "move"]
-    assert simulated.told[-1] == ("move", 0.0, 0.0, 0.0)
-    assert guided.held
+    retrying.observe(reached)
+    assert kinds(simulated) == ["move", ("restore", 1.0), "move"]
+    assert simulated.calls[-1] == ("move", 0.0, 0.0, 0.0)
+    assert retrying.was_held
 
 
-def test_a_pause_holds_while_a_simulated_arm_is_started_anew(simulated):
-    guided = retrying_arm.RetryingArm(Config())
-    guided.execute(FORWARD)
+def test_pause_persists_across_simulation_restart(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
     simulated.is_dead = True
-    step = in_a_thread(guided.execute, FORWARD)
-    wait_for(lambda: len(simulated.told) > 2)
-    guided.pause("a call")
-    with pytest.raises(CommandError, match="does not answer"):
-        guided.stop()
-    told = len(simulated.told)
-    simulated.begin_anew()
+    step = in_a_thread(retrying.execute, FORWARD)
+    wait_for(lambda: len(simulated.calls) > 2)
+    retrying.pause("a call")
+    with pytest.raises(CommandError, match="no response"):
+        retrying.stop()
+    count = len(simulated.calls)
+    simulated.restart()
     time.sleep(0.1)
-    assert len(simulated.told) == told
-    guided.resume()
+    assert len(simulated.calls) == count
+    retrying.resume()
     step.join(10.0)
-    assert simulated.told[-1] == ("move", 0.0, 0.0, 0.0)
-    assert guided.held
+    assert simulated.calls[-1] == ("move", 0.0, 0.0, 0.0)
+    assert retrying.was_held
 
 
-def test_a_simulated_arm_that_was_started_anew_is_not_stopped_as_in_an_emergency(simulated):
-    guided = retrying_arm.RetryingArm(Config())
-    guided.execute(FORWARD)
-    simulated.begin_anew()
-    guided.stop()
-    assert simulated.stops_that_last == 0
-    guided.execute(FORWARD)
-    guided.stop()
-    assert simulated.told[-1] == ("stop",)
-    assert simulated.stops_that_last == 0
+def test_stop_of_restarted_simulation_is_no_emergency_stop(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    simulated.restart()
+    retrying.stop()
+    assert simulated.emergency_stops == 0
+    retrying.execute(FORWARD)
+    retrying.stop()
+    assert simulated.calls[-1] == ("stop",)
+    assert simulated.emergency_stops == 0
 
 
-def test_a_stop_moves_a_simulated_arm_away_from_where_it_was_left(simulated):
-    guided = retrying_arm.RetryingArm(Config())
-    guided.execute(FORWARD)
-    assert guided.is_ours
-    guided.stop()
-    assert not guided.is_ours
+def test_stop_of_simulation_releases_control(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    assert retrying.in_control
+    retrying.stop()
+    assert not retrying.in_control
+
+
+def test_restore_returns_to_stamp(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    reached = retrying.execute(FORWARD)
+    retrying.execute(FORWARD)
+    assert retrying.restore(reached).header.stamp == reached.header.stamp
+    assert not retrying.was_held
+
+
+def test_restore_of_unknown_state_is_not_retried(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    simulated.saved = ()
+    with pytest.raises(CommandError, match="no saved arm state"):
+        retrying.restore(REACHED)
+    assert kinds(simulated) == [("restore", 1)]
+
+
+def test_restore_rejects_another_state_of_that_stamp(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    with pytest.raises(CommandError, match="was elsewhere"):
+        retrying.restore(state_message(rospy.Time(1), (0.4, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
+
+def test_lost_state_of_restarted_simulation_ends_control(simulated):
+    """The arm is then held where it is, and the caller is told that it was held."""
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    simulated.saved = ()
+    simulated.restart()
+    retrying.execute(FORWARD)
+    assert kinds(simulated) == ["move", ("restore", 1), "move"]
+    assert simulated.calls[-1] == ("move", 0.0, 0.0, 0.0)
+    assert retrying.was_held

@@ -1,4 +1,4 @@
-"""One commander of the arm at a time, known by the name of its node."""
+"""Arbitration: one node at a time, the commander, controls the arm; it is known by its node name."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.diagnostics import WARN, Health
 
 
-class Interruption:
-    """Tells the command under way that somebody has stopped the arm; for arms whose commands take time."""
+class StopSignal:
+    """Set when a node stops the arm during a command; checked by arms whose commands take time."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
@@ -24,144 +24,143 @@ class Interruption:
 
     @property
     def by(self) -> str:
-        """Name of the node that has stopped the arm."""
+        """Name of the node that stopped the arm."""
         return self._by
 
-    def happened(self) -> bool:
-        """Whether the command is to end at once."""
+    def is_set(self) -> bool:
+        """Whether the command must end at once."""
         return self._event.is_set()
 
-    def happen(self, by: str) -> None:
-        """Have the command end, for the node of that name."""
+    def set(self, by: str) -> None:
+        """End the command on behalf of a node."""
         self._by = by
         self._event.set()
 
 
 class ArmArbiter:
-    """Keeps the arm to the node that drives it, until that node has been silent for a while (wall seconds).
+    """Grants control of the arm to its commander until that has been silent for a timeout (wall seconds).
 
-    Everyone may stop the arm. When its driver does, the arm is free at once; when anybody else does, no command is
-    taken until somebody calls recover.
+    Any node may stop the arm. If its commander does, the arm is free at once; if another node does, commands are
+    rejected until recover is called.
     """
 
     def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic, stopped_by: str = "") -> None:
-        """Timeout: wall seconds; stopped_by: the node whose stop has lasted since before."""
+        """Timeout: wall seconds; stopped_by: the node whose stop is still in force from before a restart."""
         self._timeout = timeout
         self._clock = clock
         self._lock = threading.Lock()
-        self._holder = ""
-        self._kept = False  # whether the holder has the arm between its commands too, until it expires
+        self._commander = ""
+        self._has_lease = False  # whether the commander keeps control between commands, until it expires
         self._expires = 0.0
         self._commanded_at: Optional[float] = None
         self._busy = False
         self._stopped_by = stopped_by
-        self._stops = 0  # that last, or have
-        self._ending = ""  # who stops every command that comes now
-        self._turn = threading.Lock()  # held by whoever has the arm move
-        self._interruption = Interruption()  # of the command under way
+        self._stops = 0  # number of stops that need a recovery
+        self._closed_by = ""
+        self._motion_lock = threading.Lock()  # held by whoever makes the arm move
+        self._stop_signal = StopSignal()  # of the command in progress
 
     @contextmanager
-    def command(self, request: Any) -> Iterator[Interruption]:
-        """The time of one command, with the arm to itself -> what tells of a stop that comes meanwhile.
+    def command(self, request: Any) -> Iterator[StopSignal]:
+        """Give one command exclusive use of the arm -> the signal that is set when a stop arrives meanwhile.
 
-        A stop waits for the command to end; one that takes long should look, and end early. Raises ArmBusyError naming
-        the node that has the arm, or ArmStoppedError.
+        A stop waits for the command to end, so a long command has to check the signal. Raises ArmBusyError naming the
+        commander, or ArmStoppedError.
         """
-        interruption = self._take(name_of_caller(request))
+        signal = self._begin(name_of_caller(request))
         try:
-            with self._turn:
+            with self._motion_lock:
                 with self._lock:
-                    self._refuse_when_stopped()  # again: nothing moves after a stop that came first was answered
-                yield interruption
+                    self._require_not_stopped()  # again: no motion after an earlier stop was confirmed
+                yield signal
         finally:
             with self._lock:
                 self._busy = False
                 self._commanded_at = self._clock()
                 self._expires = self._commanded_at + self._timeout
 
-    def keep(self, request: Any) -> None:
-        """Note that the driver is alive, and goes on. Raises ArmBusyError for others, and ArmStoppedError."""
+    def heartbeat(self, request: Any) -> None:
+        """Extend the commander's control. Raises ArmBusyError for other nodes, and ArmStoppedError."""
         caller = name_of_caller(request)
         with self._lock:
-            self._refuse_when_stopped()
-            if not self._is_held() or caller != self._holder:
-                driver = self._holder if self._is_held() else "nobody"
-                raise ArmBusyError(f"the arm is driven by {driver}, not by {caller}")
+            self._require_not_stopped()
+            if not self._is_controlled() or caller != self._commander:
+                commander = self._commander if self._is_controlled() else "no node"
+                raise ArmBusyError(f"{commander} controls the arm, not {caller}")
             self._expires = self._clock() + self._timeout
 
     @property
-    def holder(self) -> str:
-        """Name of the node that has the arm; empty when it is free."""
+    def commander(self) -> str:
+        """Name of the node in control; empty when the arm is free."""
         with self._lock:
-            return self._holder if self._is_held() else ""
+            return self._commander if self._is_controlled() else ""
 
     @property
     def stopped_by(self) -> str:
-        """Name of the node whose stop lasts; empty when commands are taken."""
+        """Name of the node whose stop is in force; empty when commands are accepted."""
         with self._lock:
             return self._stopped_by
 
     @property
-    def silence(self) -> Optional[float]:
+    def idle_time(self) -> Optional[float]:
         """Wall seconds since the last command ended; None before the first."""
         with self._lock:
             return None if self._commanded_at is None else self._clock() - self._commanded_at
 
     def health(self, arm: Health) -> Health:
-        """What /diagnostics tells of an arm, with who drives it; and that a stop lasts, unless there is worse."""
-        stopped_by, silence = self.stopped_by, self.silence
+        """Return the arm's diagnostic status with its commander, and a warning while a stop is in force."""
+        stopped_by, idle_time = self.stopped_by, self.idle_time
         values = {
             **arm.values,
-            "driven by": self.holder or "nobody",
-            "stopped by": stopped_by or "nobody",
-            "last command": "none yet" if silence is None else f"{silence:.1f} s ago",
+            "commander": self.commander or "none",
+            "stopped by": stopped_by or "none",
+            "last command": "none yet" if idle_time is None else f"{idle_time:.1f} s ago",
         }
         if stopped_by and arm.level < WARN:
-            way_out = rospy.resolve_name(names.ARM_RECOVER)
-            return Health(WARN, f"stopped by {stopped_by}: call {way_out} to go on", values)
+            return Health(WARN, _stopped_message(stopped_by), values)
         return replace(arm, values=values)
 
     @contextmanager
-    def lapsed(self) -> Iterator[str]:
-        """The time to brake for a driver that has fallen silent without giving the arm back, told once.
+    def expired(self) -> Iterator[str]:
+        """Hold the arm while braking for a commander that fell silent without releasing it; reported once.
 
         -> its name; empty when there is none.
         """
-        with self._turn:
+        with self._motion_lock:
             with self._lock:
-                is_lapsed = self._kept and not self._is_held()
-                if is_lapsed:
-                    self._kept = False
-                driver = self._holder if is_lapsed else ""
-            yield driver
+                is_expired = self._has_lease and not self._is_controlled()
+                if is_expired:
+                    self._has_lease = False
+                commander = self._commander if is_expired else ""
+            yield commander
 
-    def end(self) -> None:
-        """Let nobody move the arm any more, once the command under way is done, or has ended early."""
+    def close(self) -> None:
+        """Allow no further motion, after the command in progress has ended; it is signalled to end early."""
         with self._lock:
-            self._ending = "its own node, which ends"
-            self._interruption.happen(self._ending)
-        self._turn.acquire()
+            self._closed_by = "its own node, which is shutting down"
+            self._stop_signal.set(self._closed_by)
+        self._motion_lock.acquire()
 
     @contextmanager
     def stop(self, request: Any) -> Iterator[bool]:
-        """The time of a stop -> whether it lasts. The last driver gives the arm back; anybody else's stop lasts."""
+        """Hold the arm while it stops -> whether it needs a recovery. The commander's own stop releases control."""
         caller = name_of_caller(request)
         with self._lock:
-            lasts = caller != self._holder
-            if lasts:
+            needs_recovery = caller != self._commander
+            if needs_recovery:
                 self._stopped_by = caller
                 self._stops += 1
-            self._interruption.happen(caller)
-        with self._turn:
-            yield lasts
+            self._stop_signal.set(caller)
+        with self._motion_lock:
+            yield needs_recovery
         with self._lock:
-            self._kept = False
+            self._has_lease = False
 
     @contextmanager
     def recovery(self) -> Iterator[None]:
-        """The time that it takes to recover; commands are taken again after it.
+        """Accept commands again after the block.
 
-        Raises ArmStoppedError where somebody has stopped the arm meanwhile: that stop lasts.
+        Raises ArmStoppedError if a node has stopped the arm meanwhile: that stop stays in force.
         """
         with self._lock:
             stops = self._stops
@@ -169,38 +168,41 @@ class ArmArbiter:
         with self._lock:
             if self._stops == stops:
                 self._stopped_by = ""
-            self._refuse_when_stopped()
+            self._require_not_stopped()
 
     def recover(self) -> None:
-        """Take commands again, at once."""
+        """Accept commands again, at once."""
         with self.recovery():
             pass
 
-    def _take(self, caller: str) -> Interruption:
+    def _begin(self, caller: str) -> StopSignal:
         with self._lock:
-            self._refuse_when_stopped()
+            self._require_not_stopped()
             if self._busy:
-                raise ArmBusyError(f"the arm is carrying out a command of {self._holder}")
-            if self._is_held() and caller != self._holder:
+                raise ArmBusyError(f"the arm is executing a command of {self._commander}")
+            if self._is_controlled() and caller != self._commander:
                 raise ArmBusyError(
-                    f"the arm is driven by {self._holder}: stop that node, or try again {self._timeout:g} s after its "
-                    "last sign of life"
+                    f"{self._commander} controls the arm: stop that node, or retry {self._timeout:g} s after its last "
+                    "heartbeat (arm/commander_timeout)"
                 )
-            self._holder, self._busy, self._kept = caller, True, True
-            self._interruption = Interruption()
-            if self._ending:
-                self._interruption.happen(self._ending)
-            return self._interruption
+            self._commander, self._busy, self._has_lease = caller, True, True
+            self._stop_signal = StopSignal()
+            if self._closed_by:
+                self._stop_signal.set(self._closed_by)
+            return self._stop_signal
 
-    def _refuse_when_stopped(self) -> None:
+    def _require_not_stopped(self) -> None:
         if self._stopped_by:
-            way_out = rospy.resolve_name(names.ARM_RECOVER)
-            raise ArmStoppedError(f"the arm was stopped by {self._stopped_by}: call {way_out} to go on")
+            raise ArmStoppedError(f"the arm was {_stopped_message(self._stopped_by)}")
 
-    def _is_held(self) -> bool:
-        return self._busy or (self._kept and self._clock() < self._expires)
+    def _is_controlled(self) -> bool:
+        return self._busy or (self._has_lease and self._clock() < self._expires)
 
 
 def name_of_caller(request: Any) -> str:
-    """The node that sent a service request, known by its connection."""
+    """Return the name of the node that sent a service request, as given by its connection."""
     return request._connection_header.get("callerid", "an unnamed node")
+
+
+def _stopped_message(stopped_by: str) -> str:
+    return f"stopped by {stopped_by}: call {rospy.resolve_name(names.ARM_RECOVER)} to resume"

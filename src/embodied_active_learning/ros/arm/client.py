@@ -1,10 +1,9 @@
-"""A commander's side of the arm: commands that report as an error what was not done."""
+"""Client of the arm's services: a command that the arm did not carry out raises an error."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Sequence
+from typing import Any, Sequence
 
-import numpy as np
 import rospy
 from std_srvs.srv import Trigger
 
@@ -13,75 +12,79 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.error_codes import error_of
 from embodied_active_learning.ros.runtime.node import wait_until
-from embodied_active_learning.ros.runtime.services import HANDLER_FAILED, TRANSPORT_ERRORS, log_service_wait
+from embodied_active_learning.ros.runtime.services import (
+    HANDLER_FAILED,
+    TRANSPORT_ERRORS,
+    is_advertised,
+    log_service_wait,
+)
 from embodied_active_learning.srv import GoToPose, MoveArm, RestoreArm
 
 
-class Reached(NamedTuple):
-    """Where a command ended, and what puts a simulated arm back there: (M,), empty for a real one."""
-
-    state: PlanarState
-    memory: np.ndarray
-
-
 class ArmClient:
-    """Moves the arm through its services. Commands are never sent twice: an unanswered one is an NoResponseError."""
+    """Calls the arm's services. A command is never sent twice: without a response it raises NoResponseError."""
 
     def __init__(self) -> None:
         self._move = rospy.ServiceProxy(names.ARM_MOVE, MoveArm)
         self._go_to = rospy.ServiceProxy(names.ARM_GO_TO, GoToPose)
         self._stop = rospy.ServiceProxy(names.ARM_STOP, Trigger)
-        self._keep = rospy.ServiceProxy(names.ARM_HEARTBEAT, Trigger)
+        self._heartbeat = rospy.ServiceProxy(names.ARM_HEARTBEAT, Trigger)
         self._restore = rospy.ServiceProxy(names.ARM_RESTORE, RestoreArm)
+        self._can_restore = False
+
+    @property
+    def can_restore(self) -> bool:
+        """Whether the arm is simulated and can return to earlier states; known once `wait` has returned."""
+        return self._can_restore
 
     def wait(self) -> None:
-        """Return once the arm offers its services. Raises ShutdownRequestedError."""
-        wait_until(lambda: _is_offered(self._move), lambda: f"the arm ({self._move.resolved_name})", period=0.2)
+        """Wait until the arm offers its services. Raises ShutdownRequestedError."""
+        wait_until(lambda: _is_available(self._move), lambda: f"the arm ({self._move.resolved_name})", period=0.2)
+        self._can_restore = is_advertised(names.ARM_RESTORE)
 
-    def move(self, velocity: Sequence[float], duration: float) -> Reached:
-        """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s]. Raises CommandError."""
-        answer = _command(self._move, *map(float, velocity), duration)
-        return Reached(answer.state, np.array(answer.memory))
+    def move(self, velocity: Sequence[float], duration: float) -> PlanarState:
+        """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s] -> the state reached. Raises CommandError."""
+        return _command(self._move, *map(float, velocity), duration)
 
-    def go_to(self, pose: Sequence[float]) -> Reached:
-        """Go to pose (3,) [m, m, rad] and stop there. Raises CommandError."""
-        answer = _command(self._go_to, *map(float, pose))
-        return Reached(answer.state, np.array(answer.memory))
+    def go_to(self, pose: Sequence[float]) -> PlanarState:
+        """Move to pose (3,) [m, m, rad] and stop there -> the state reached. Raises CommandError."""
+        return _command(self._go_to, *map(float, pose))
 
-    def restore(self, memory: np.ndarray) -> Reached:
-        """Put a simulated arm back to where it was when it answered with a memory (M,). Raises CommandError."""
-        return Reached(_command(self._restore, memory.tolist()).state, memory)
+    def restore(self, stamp: rospy.Time) -> PlanarState:
+        """Return the simulated arm to its state at a stamp -> that state. Raises CommandError."""
+        return _command(self._restore, stamp)
 
     def stop(self) -> None:
-        """Stop now. Raises CommandError when the arm does not confirm."""
+        """Stop the arm now. Raises CommandError if the arm does not confirm."""
         with log_service_wait(self._stop.resolved_name):
-            answer = _ask(self._stop)
-        if not answer.success:
-            raise ArmFailedError(answer.message)
+            response = _call(self._stop)
+        if not response.success:
+            raise ArmFailedError(response.message)
 
-    def keep(self) -> bool:
-        """Tell the arm that this node goes on driving it -> whether it still does. Raises CommandError."""
-        return _ask(self._keep).success
+    def heartbeat(self) -> bool:
+        """Extend this node's control of the arm -> whether the arm granted it. Raises CommandError."""
+        return _call(self._heartbeat).success
 
 
-def _command(service: Any, *arguments: Any) -> Any:
+def _command(service: Any, *arguments: Any) -> PlanarState:
+    """Call a motion service and return the state reached; raise the error named by the response's cause."""
     with log_service_wait(service.resolved_name):
-        answer = _ask(service, *arguments)
-    if not answer.success:
-        raise error_of(answer.cause, answer.message)
-    return answer
+        response = _call(service, *arguments)
+    if not response.success:
+        raise error_of(response.cause, response.message)
+    return response.state
 
 
-def _ask(service: Any, *arguments: Any) -> Any:
+def _call(service: Any, *arguments: Any) -> Any:
     try:
         return service(*arguments)
     except TRANSPORT_ERRORS as error:
         if HANDLER_FAILED in str(error):
-            raise ArmFailedError(f"{service.resolved_name} failed, the log of its node tells why: {error}") from error
-        raise NoResponseError(f"{service.resolved_name} did not answer: {error}") from error
+            raise ArmFailedError(f"{service.resolved_name} failed: {error}; see the log of its node") from error
+        raise NoResponseError(f"no response from {service.resolved_name}: {error}") from error
 
 
-def _is_offered(service: Any) -> bool:
+def _is_available(service: Any) -> bool:
     try:
         service.wait_for_service(timeout=0.1)
     except rospy.ROSException:

@@ -1,4 +1,4 @@
-"""Named errors of the arm to codes of its answers and back: the one place that knows which is which."""
+"""Conversion between the arm's named errors and the field `cause` of its responses."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _ERRORS = {ArmCause.FAILED: ArmFailedError, ArmCause.STOPPED: ArmStoppedError, A
 
 
 def cause_fields(error: EmbodiedActiveLearningError) -> Dict[str, int]:
-    """The field cause of an answer that tells of an error; what has no code of its own was refused as asked."""
+    """Return the response field `cause` for an error; REFUSED if the error has no code of its own."""
     matching = [cause for cause, error_class in _ERRORS.items() if isinstance(error, error_class)]
     return {"cause": matching[0] if matching else ArmCause.REFUSED}
 
 
 def error_of(cause: int, message: str) -> CommandError:
-    """The error that an answer of the arm tells of; an unknown code is a refusal."""
+    """Return the error for a response's cause and message; CommandError for an unknown cause."""
     return _ERRORS.get(cause, CommandError)(message)

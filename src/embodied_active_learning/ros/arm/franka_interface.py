@@ -30,12 +30,14 @@ _LOOKING = ("JointStateInterface", "FrankaStateInterface", "FrankaModelInterface
 class FrankaInterface:
     """Set-points, states, controllers, collision behaviour and recovery. Calls raise RobotError."""
 
-    def __init__(self, mount: CameraMount, see_state: Callable[[FrankaState], None]) -> None:
-        """see_state is called with each state as it comes, in a thread of rospy's."""
+    def __init__(self, mount: CameraMount, update_state: Callable[[FrankaState], None]) -> None:
+        """update_state is called with each state as it comes, in a thread of rospy's."""
         self._mount = mount
         self._set_points = rospy.Publisher(names.FRANKA_SET_POINT, PoseStamped, queue_size=1, tcp_nodelay=True)
         self._recovery = actionlib.SimpleActionClient(names.FRANKA_RECOVERY, ErrorRecoveryAction)
-        self._subscriber = rospy.Subscriber(names.FRANKA_STATES, FrankaState, see_state, queue_size=1, tcp_nodelay=True)
+        self._subscriber = rospy.Subscriber(
+            names.FRANKA_STATES, FrankaState, update_state, queue_size=1, tcp_nodelay=True
+        )
 
     @property
     def is_heard(self) -> bool:

@@ -80,7 +80,9 @@ class FrankaSupervisor:
         except RobotError as error:
             rospy.logdebug("%s", error)
             controllers = None
-        self._driver.see_control(controllers=controllers, rivals=tuple(self._link.rivals()), heard=self._link.is_heard)
+        self._driver.update_control(
+            controllers=controllers, rivals=tuple(self._link.rivals()), heard=self._link.is_heard
+        )
 
     def _condition(self) -> Condition:
         self._driver.why_not_ready()  # by what is known now

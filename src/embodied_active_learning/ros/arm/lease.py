@@ -1,4 +1,4 @@
-"""A commander's hold on the arm: it lasts for a while after each command, and longer while signs of life are sent."""
+"""A commander's lease on the arm: granted for a while with each command and heartbeat."""
 
 from __future__ import annotations
 
@@ -12,49 +12,49 @@ import rospy
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.ros.runtime.timers import WallTimer
 
-SIGNS_OF_LIFE = 3
-"""Sent in the time after which the arm takes its commander for dead."""
+HEARTBEATS = 3
+"""Heartbeats per timeout of the lease."""
 
 
 class Lease:
-    """Whether this node has the arm, as far as it knows. A thread extends the hold until it is ended.
+    """Whether this node is in control of the arm, as far as it knows. A thread sends heartbeats until it is ended.
 
-    That thread stops with the process: an arm whose commander is killed or frozen is free after the timeout.
+    The thread dies with the process, so the arm is free after the timeout if its commander is killed or frozen.
     """
 
-    def __init__(self, timeout: float, keep: Callable[[], bool]) -> None:
-        """Timeout: wall seconds that the arm grants. keep() asks it for more, and answers whether that was granted."""
+    def __init__(self, timeout: float, heartbeat: Callable[[], bool]) -> None:
+        """Timeout: wall seconds that the arm grants. heartbeat() asks for an extension and returns whether granted."""
         self._timeout = timeout
-        self._keep = keep
+        self._heartbeat = heartbeat
         self._lock = threading.Lock()
         self._granted_at = -math.inf
-        WallTimer(timeout / SIGNS_OF_LIFE, self.extend)
+        WallTimer(timeout / HEARTBEATS, self.extend)
 
     @property
     def is_held(self) -> bool:
-        """Whether the arm is still ours; if not, others may have moved it."""
+        """Whether the lease has not expired; once it has, other nodes may have moved the arm."""
         return time.monotonic() <= self._granted_at + self._timeout
 
     def renew(self) -> None:
-        """Count the timeout from now on: the arm has taken a command."""
+        """Start the timeout: the arm has accepted a command."""
         with self._lock:
             self._granted_at = time.monotonic()
 
     def end(self) -> None:
-        """Hold nothing any more: the arm was given back."""
+        """Give up the lease: control was released."""
         with self._lock:
             self._granted_at = -math.inf
 
     def extend(self) -> None:
-        """Ask for more time, if there is anything to extend."""
+        """Send a heartbeat while the lease is held, and adopt the arm's response."""
         known, asked_at = self._granted_at, time.monotonic()
         if asked_at > known + self._timeout:
             return
         try:
-            granted = self._keep()
+            granted = self._heartbeat()
         except CommandError as error:
             rospy.logdebug("%s", error)
             return
         with self._lock:
-            if self._granted_at == known:  # else a command, or the end, came in between and says more
+            if self._granted_at == known:  # else a command, or the end, came in between and is more recent
                 self._granted_at = asked_at if granted else -math.inf

@@ -1,4 +1,4 @@
-"""A thread that must keep time: it calls a function at a rate of wall time, and counts how late it was."""
+"""A thread that calls a function at a fixed rate of wall time and measures how late each call was."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ _KEPT = 1000
 
 
 class RateLoop:
-    """Calls a function at a rate. What it raises ends the pulse, and with it the node: an arm hangs on it."""
+    """Calls a function at a fixed rate. An exception ends the loop and shuts the node down: an arm depends on it."""
 
     def __init__(self, rate: float, function: Callable[[], None]) -> None:
         """Rate: Hz of wall time."""
         self._period = 1.0 / rate
         self._function = function
-        self._late: Deque[float] = deque(maxlen=_KEPT)
+        self._lateness: Deque[float] = deque(maxlen=_KEPT)
         self._ended = threading.Event()
         self.failure: Optional[BaseException] = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
-        """Let no further call begin."""
+        """Start no further call."""
         self._ended.set()
 
     def lateness(self, share: float) -> float:
-        """Seconds by which this share of the last calls, 0 to 1, was late at most."""
-        late = sorted(self._late)
-        return late[max(0, math.ceil(share * len(late)) - 1)] if late else 0.0
+        """Return the quantile `share`, 0 to 1, of the lateness of the last calls, in seconds."""
+        lateness = sorted(self._lateness)
+        return lateness[max(0, math.ceil(share * len(lateness)) - 1)] if lateness else 0.0
 
     def _run(self) -> None:
         due = time.monotonic()
         while not self._ended.is_set():
-            # A call that was late is not made up for: the next comes a whole period after it was due, or now.
+            # A late call is not made up for: the next one is due a whole period after the last was, or now.
             due = max(due + self._period, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-            self._late.append(time.monotonic() - due)
+            self._lateness.append(time.monotonic() - due)
             try:
                 self._function()
             except Exception as error:
                 if not is_shutting_down():
                     self.failure = error
-                    rospy.signal_shutdown(f"no set-points any more: {error!r}")
+                    rospy.signal_shutdown(f"set-point thread failed: {error!r}")
                 return

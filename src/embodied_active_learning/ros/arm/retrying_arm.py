@@ -1,12 +1,10 @@
-"""Arm and camera as a node uses them that moves and looks by turns: with patience, and pausable from outside."""
+"""Arm and camera for a node that moves and observes in turns: failed commands are retried, and a pause is possible."""
 
 from __future__ import annotations
 
-import math
 import threading
-import time
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as NotInTimeError
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import replace
 from typing import NamedTuple, Optional, Sequence, Tuple, Union
 
@@ -25,252 +23,262 @@ from embodied_active_learning.errors import (
 )
 from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
 from embodied_active_learning.msg import PlanarState
-from embodied_active_learning.ros.arm.client import ArmClient, Reached
+from embodied_active_learning.ros.arm import retry
+from embodied_active_learning.ros.arm.client import ArmClient
 from embodied_active_learning.ros.arm.lease import Lease
+from embodied_active_learning.ros.arm.retry import RetryPolicy
 from embodied_active_learning.ros.camera.posed_camera import PosedCamera
+from embodied_active_learning.ros.conversions import state_arrays
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 
-RETRY_PERIOD = 0.5
-"""Wall seconds between two tries; doubled with each failure of the arm in a row ..."""
-LONGEST_RETRY_PERIOD = 8.0
-"""... up to this."""
-WAITED_FOR = (ObservationError, ArmBusyError, ArmStoppedError, NoResponseError)
-"""What only time or a person can mend; trying again costs nothing, so it is not counted."""
 STOP_TIMEOUT = 10.0
-"""Wall seconds within which an arm is expected to finish a command and stop."""
+"""Wall seconds within which the arm should finish a command and stop."""
 
 
-class _PutBack(NamedTuple):
-    """The command to be where a simulated arm was when its memory was this."""
+class _Restore(NamedTuple):
+    """Command to return a simulated arm to a state that it has published."""
 
-    memory: np.ndarray
+    state: PlanarState
+
+
+_AnyCommand = Union[Command, _Restore]
 
 
 class RetryingArm:
-    """Moves and looks. What fails is said, and again every few seconds; the arm is held still and it is tried again.
+    """Executes commands and takes images; retries what fails and holds the arm still meanwhile.
 
-    Commands that the arm refuses or fails to do are tried arm/retries times in a row, then given up. What only time or
-    a person can mend is waited for: images that are not fresh, a stopped arm, another driver, no answer at all. A
-    stopped arm is never recovered from here. A simulated arm that was started anew is put back to where it was left.
+    Commands that the arm rejects or fails to carry out are retried up to arm/retries times in a row (see RetryPolicy).
+    Stale images, a stopped arm, another commander and a missing response are waited for. A stopped arm is never
+    recovered from here. A simulated arm that has restarted returns to its last state before the next command.
 
-    One thread moves and looks; any thread may call pause, resume and stop, and read the properties.
+    One thread moves and observes; any thread may call pause, resume and stop, and read the properties.
     """
 
-    def __init__(self, config: Config, patience: Optional[float] = None) -> None:
-        """Patience: wall seconds of failures after which a call raises the last one; None waits for ever.
+    def __init__(self, config: Config, timeout: Optional[float] = None) -> None:
+        """Raise the last failure after `timeout` wall seconds of failures in one call; None retries forever.
 
-        An arm that has taken a command is waited for until it answers, whatever the patience.
+        The response to an accepted command is awaited beyond the timeout.
         """
-        self._patience = math.inf if patience is None else patience
-        self._retries = config.arm.retries
         self._camera = PosedCamera(config)
         self._arm = ArmClient()
-        self._lease = Lease(config.arm.commander_timeout, self._arm.keep)
-        self._turn = threading.Lock()  # held by the thread that talks to the arm
-        self._switch = threading.Lock()
-        self._going = threading.Event()
-        self._going.set()
-        self._awaited = ""
-        self._memory = np.empty(0)
-        self._left_at = rospy.Time()  # when the last command has left the arm
+        self._lease = Lease(config.arm.commander_timeout, self._arm.heartbeat)
+        self._retry = RetryPolicy(config.arm.retries, timeout)
+        self._arm_lock = threading.Lock()  # held during a call of the arm's services
+        self._pause_lock = threading.Lock()
+        self._running = threading.Event()
+        self._running.set()
+        self._waiting_for = ""
+        self._reached: Optional[PlanarState] = None  # where the last command has ended
         self._restarts = 0
         self._unanswered = False
-        self._failures = 0  # of the arm, since it last carried out more than standing still
-        self._held = False
-        self._trouble = ""
-        self._repeats = LogThrottle()
-        self._standing = VelocityCommand(0.0, 0.0, 0.0, config.exploration.step_duration)
+        self._was_held = False
+        self._error = ""
+        self._throttle = LogThrottle()
+        self._hold = VelocityCommand(0.0, 0.0, 0.0, config.exploration.step_duration)
 
     @property
-    def standing(self) -> VelocityCommand:
-        """The command that holds the arm still for the time of one exploration step."""
-        return self._standing
+    def hold(self) -> VelocityCommand:
+        """The command that holds the arm still for one exploration step."""
+        return self._hold
 
     @property
-    def trouble(self) -> str:
-        """Why the arm is held still; empty when it goes on."""
-        return self._trouble
+    def error(self) -> str:
+        """Why the arm is held still; empty while commands succeed."""
+        return self._error
 
-    def health(self, going: Health) -> Health:
-        """What /diagnostics tells: that the arm is paused or held still, and why; else what is going on."""
+    def health(self, active: Health) -> Health:
+        """Return the diagnostic status: paused, held still and why, or else `active`."""
         if self.is_paused:
-            return replace(going, level=WARN, message=f"paused, waiting for {self._awaited}", idle=True)
-        if self._trouble:
-            return replace(going, level=ERROR, message=f"the arm stands still: {self._trouble}")
-        return going
+            return replace(active, level=WARN, message=f"paused, waiting for {self._waiting_for}", idle=True)
+        if self._error:
+            return replace(active, level=ERROR, message=f"arm held still: {self._error}")
+        return active
 
     @property
-    def held(self) -> bool:
-        """Whether anything was held still for since the last call of execute or go_to began."""
-        return self._held
+    def was_held(self) -> bool:
+        """Whether the arm was held still since the last call of execute or go_to began."""
+        return self._was_held
 
     @property
-    def is_ours(self) -> bool:
-        """Whether the arm is where this node's last command has left it, as far as this node can tell."""
-        if not self._memory.size:
+    def in_control(self) -> bool:
+        """Whether the arm is where this node's last command has left it, as far as this node knows."""
+        if not self._is_restorable:
             return self._lease.is_held
-        # Simulated time passes only while the arm moves: states tell whether it did, however long ago the command is.
+        # Simulated time passes only while the arm moves: a newer state means that it has moved.
         newest = self._camera.newest_state
-        return self._is_lost or newest is None or newest <= self._left_at
-
-    @property
-    def memory(self) -> np.ndarray:
-        """(M,) what puts a simulated arm back to where the last command has left it; empty for a real one."""
-        return self._memory
+        return self._has_restarted or newest is None or newest <= self._reached.header.stamp
 
     @property
     def is_paused(self) -> bool:
         """Whether commands are held back."""
-        return not self._going.is_set()
+        return not self._running.is_set()
 
     def wait(self) -> None:
-        """Return once arm and camera are there. Raises ShutdownRequestedError."""
+        """Wait for the arm's services, images and states. Raises ShutdownRequestedError."""
         self._arm.wait()
         wait_until(lambda: self._camera.connected, lambda: "publishers of images and arm states")
 
-    def look(self, reached: PlanarState) -> Tuple[Image, PlanarState]:
-        """The first image since a state was reached -> (image as published, state it was taken from).
+    def observe(self, reached: PlanarState) -> Tuple[Image, PlanarState]:
+        """Return the first image since a state was reached, as published, and the state it was taken from.
 
-        Raises ObservationError or CommandError when patience or tries have ended, and ShutdownRequestedError.
+        Raises:
+            ObservationError, CommandError: Timeout or retries are used up.
+            ShutdownRequestedError: The node ends.
         """
-        gives_up_at = time.monotonic() + self._patience
-        asked_again = False
+        self._retry.begin_call()
+        restored = False
         while True:
             try:
-                seen = self._camera.take(reached.header.stamp)
+                observation = self._camera.take(reached.header.stamp)
                 break
             except ObservationError as error:
-                if self._memory.size and (self._is_lost or not asked_again):
-                    # A simulated arm shows once more what it has shown, or was lost with it: nothing has happened then.
-                    reached = self._insist(_PutBack(self._memory), self._standing, gives_up_at)
-                    asked_again = True
+                if self._is_restorable and (self._has_restarted or not restored):
+                    # The simulation publishes the image again; this does not count as holding the arm still.
+                    reached = self._execute(_Restore(self._reached), self._hold)
+                    restored = True
                     continue
-                self._bear(error, gives_up_at)
-                reached = self._insist(self._standing, self._standing, gives_up_at)
-        self._trouble = ""
-        return seen
+                self._wait_for_retry(error)
+                reached = self._execute(self._hold, self._hold)
+        self._error = ""
+        return observation
 
     def execute(self, command: Command) -> PlanarState:
-        """Carry out a command, or hold still instead when it fails or was planned before a pause -> the state reached.
+        """Carry out a command, or hold still if it fails or was planned before a pause -> the state reached.
 
-        Raises CommandError when patience or tries have ended, and ShutdownRequestedError.
+        Raises CommandError when timeout or retries are used up, and ShutdownRequestedError.
         """
-        self._held = False
-        return self._insist(command, self._standing, time.monotonic() + self._patience)
+        self._was_held = False
+        self._retry.begin_call()
+        return self._execute(command, self._hold)
 
     def go_to(self, pose: Sequence[float]) -> PlanarState:
-        """Go to pose (3,) [m, m, rad], trying until the arm gets there -> the state reached.
+        """Move to pose (3,) [m, m, rad], retrying until the arm arrives -> the state reached.
 
-        Raises CommandError when patience or tries have ended, and ShutdownRequestedError.
+        Raises CommandError when timeout or retries are used up, and ShutdownRequestedError.
         """
-        self._held = False
+        self._was_held = False
+        self._retry.begin_call()
         command = PoseCommand(*map(float, pose))
-        reached = self._insist(command, command, time.monotonic() + self._patience)
-        self._trouble = ""
+        reached = self._execute(command, command)
+        self._error = ""
         return reached
 
-    def put_back(self, memory: np.ndarray) -> PlanarState:
-        """Put a simulated arm back to where it was when its memory (M,) was this -> that state.
+    def restore(self, state: PlanarState) -> PlanarState:
+        """Return a simulated arm to a state that it has published -> that state.
 
-        Raises CommandError when tries or patience have ended, and ShutdownRequestedError.
+        Raises CommandError when the arm cannot, or timeout or retries are used up, and ShutdownRequestedError.
         """
-        command = _PutBack(memory)
-        reached = self._insist(command, command, time.monotonic() + self._patience)
-        self._trouble, self._held = "", False
+        self._retry.begin_call()
+        reached = self._execute(_Restore(state), None)
+        self._error, self._was_held = "", False
         return reached
 
     def stop(self, timeout: float = STOP_TIMEOUT) -> None:
-        """Stop the arm behind the command under way, and give it back; an arm that is not ours is left alone.
+        """Stop the arm after the command in progress and release control; without control nothing is stopped.
 
-        Raises CommandError when that is not certain after timeout [s of wall time]; it happens then as soon as the arm
-        answers.
+        Raises CommandError if the arm has not confirmed within `timeout` wall seconds; it then stops once it responds.
         """
-        # In a thread, because no call of a service can be given up.
+        # In a thread, because a service call cannot be cancelled.
         outcome: Future = Future()
-        threading.Thread(target=self._give_back, args=(outcome,), daemon=True).start()
+        threading.Thread(target=self._release, args=(outcome,), daemon=True).start()
         try:
             outcome.result(timeout)
-        except NotInTimeError as error:
-            raise CommandError(f"the arm has not answered within {timeout:g} s") from error
+        except FutureTimeoutError as error:
+            raise CommandError(f"the arm has not responded within {timeout:g} s") from error
 
-    def pause(self, awaited: str) -> bool:
-        """Hold back every command from now on, saying what is awaited -> False when it was so already.
+    def pause(self, waiting_for: str) -> bool:
+        """Hold back all further commands -> False if they were held back already.
 
-        The command under way goes on: call stop to have the arm stand still.
+        The command in progress continues: call stop to make the arm stand still. waiting_for: shown in diagnostics.
         """
-        with self._switch:
+        with self._pause_lock:
             changed = not self.is_paused
-            self._awaited = awaited
-            self._going.clear()
+            self._waiting_for = waiting_for
+            self._running.clear()
             return changed
 
     def resume(self) -> bool:
-        """Let commands through again -> False when nothing was paused."""
-        with self._switch:
+        """Allow commands again -> False if they were not held back."""
+        with self._pause_lock:
             changed = self.is_paused
-            self._going.set()
+            self._running.set()
             return changed
 
     def wait_while_paused(self) -> bool:
-        """Return as soon as commands are let through -> whether that took waiting. Raises ShutdownRequestedError."""
+        """Wait until commands are allowed -> whether that took waiting. Raises ShutdownRequestedError."""
         if not self.is_paused:
             return False
-        wait_until(self._going.is_set, lambda: self._awaited)
+        wait_until(self._running.is_set, lambda: self._waiting_for)
         return True
 
-    def _insist(
-        self, command: Union[Command, _PutBack], instead: Union[Command, _PutBack], gives_up_at: float
-    ) -> PlanarState:
-        """Carry out a command; when it fails, or a pause came before it, then another one until that succeeds.
+    def _execute(self, command: _AnyCommand, fallback: Optional[_AnyCommand]) -> PlanarState:
+        """Carry out a command; after a failure or a pause carry out the fallback until it succeeds.
 
-        A simulated arm that does not answer is waited for, put back, and none the worse for it.
+        Without a fallback the command itself is retried, unless it is rejected. A simulated arm that does not respond
+        is waited for and restored, after which the command itself is retried.
         """
         while True:
             if self.wait_while_paused():
-                command, self._held = instead, True
+                command, self._was_held = fallback or command, True
             try:
-                with self._turn:
+                with self._arm_lock:
                     if self.is_paused:
                         continue
                     reached = self._send(command)
             except CommandError as error:
-                if self._memory.size and isinstance(error, NoResponseError):
+                if self._is_restorable and isinstance(error, NoResponseError):
                     self._unanswered = True
-                    self._stand_still(str(error))
-                    wall_sleep(RETRY_PERIOD)
+                    self._report(str(error))
+                    wall_sleep(retry.RETRY_PERIOD)
+                elif fallback is None and type(error) is CommandError:
+                    raise
                 else:
-                    self._bear(error, gives_up_at)
-                    command = instead
+                    self._wait_for_retry(error)
+                    command = fallback or command
             else:
-                if command is not self._standing:
-                    self._failures = 0
+                if command is not self._hold:
+                    self._retry.reset()
                 return reached
 
     @property
-    def _is_lost(self) -> bool:
-        """Whether a simulated arm has begun anew since the last command, or may have."""
-        return bool(self._memory.size) and (self._unanswered or self._camera.restarts != self._restarts)
+    def _is_restorable(self) -> bool:
+        """Whether the arm is simulated and can return to where the last command has left it."""
+        return self._arm.can_restore and self._reached is not None
 
-    def _send(self, command: Union[Command, _PutBack]) -> PlanarState:
-        """Carry out a command; a simulated arm that was lost is put back first."""
-        if self._is_lost:
-            self._call(_PutBack(self._memory))
+    @property
+    def _has_restarted(self) -> bool:
+        """Whether the simulated arm has restarted since the last command, or may have."""
+        return self._is_restorable and (self._unanswered or self._camera.restarts != self._restarts)
+
+    def _send(self, command: _AnyCommand) -> PlanarState:
+        """Carry out a command; a simulated arm that has restarted is restored first."""
+        if self._has_restarted:
+            self._restore_last_state()
         reached = self._call(command)
-        time_went_back = self._memory.size and reached.state.header.stamp <= self._left_at
-        if time_went_back and not isinstance(command, _PutBack):
-            raise NoResponseError("the simulated arm was started anew: another one has answered")
-        self._memory, self._left_at = reached.memory, reached.state.header.stamp
-        return reached.state
+        is_restore = isinstance(command, _Restore)
+        if self._is_restorable and not is_restore and reached.header.stamp <= self._reached.header.stamp:
+            raise NoResponseError("the simulated arm has restarted: its time went back")
+        self._reached = reached
+        return reached
 
-    def _call(self, command: Union[Command, _PutBack]) -> Reached:
+    def _restore_last_state(self) -> None:
+        """Restore the state of the last command. Raises CommandError; if it is lost, the arm is used where it is."""
+        try:
+            self._call(_Restore(self._reached))
+        except (ArmBusyError, ArmStoppedError, NoResponseError):
+            raise
+        except CommandError:
+            self._reached, self._unanswered = None, False
+            self._lease.end()
+            raise
+
+    def _call(self, command: _AnyCommand) -> PlanarState:
         restarts = self._camera.restarts
         try:
-            if isinstance(command, _PutBack):
-                reached = self._arm.restore(command.memory)
-                rospy.loginfo("the simulated arm was put back to where it was left")
-                self._unanswered = False
+            if isinstance(command, _Restore):
+                reached = self._restore(command.state)
             elif isinstance(command, VelocityCommand):
                 reached = self._arm.move(command.velocity, command.duration)
             else:
@@ -278,53 +286,54 @@ class RetryingArm:
         except (ArmBusyError, ArmStoppedError):
             raise
         except CommandError:
-            self._lease.renew()  # the arm listened to us, or may have
+            self._lease.renew()  # the arm has accepted us as its commander, or may have
             raise
         self._lease.renew()
         self._restarts = restarts
         return reached
 
-    def _give_back(self, outcome: Future) -> None:
+    def _restore(self, state: PlanarState) -> PlanarState:
+        reached = self._arm.restore(state.header.stamp)
+        if not np.array_equal(state_arrays(reached)[0], state_arrays(state)[0]):
+            raise CommandError(f"the simulated arm was elsewhere at {state.header.stamp.to_sec():.3f} s: not restored")
+        rospy.loginfo("simulated arm restored to its state at %.3f s", state.header.stamp.to_sec())
+        self._unanswered = False
+        return reached
+
+    def _release(self, outcome: Future) -> None:
         try:
-            with self._turn:
-                # The arm takes a stop by anybody but its driver for an emergency, and one that was started anew has
-                # no driver: so it is asked first.
-                if self.is_ours and self._may_be_kept():
+            with self._arm_lock:
+                # A stop by any node but its commander is an emergency stop, and an arm that has restarted has no
+                # commander: so ask first.
+                if self.in_control and self._may_be_commander():
                     self._arm.stop()
                 self._lease.end()
             outcome.set_result(None)
         except CommandError as error:
             outcome.set_exception(error)
 
-    def _may_be_kept(self) -> bool:
-        """Whether the arm knows this node as its driver, or does not say: a node that ends gets no answers any more."""
+    def _may_be_commander(self) -> bool:
+        """Whether the arm accepts this node's heartbeat, or does not respond, as while this node shuts down."""
         try:
-            return self._arm.keep()
+            return self._arm.heartbeat()
         except CommandError:
             return True
 
-    def _bear(self, error: EmbodiedActiveLearningError, gives_up_at: float) -> None:
-        """Say what is wrong and wait for the next try; raise it when patience or tries have ended."""
-        trouble, wait = str(error), RETRY_PERIOD
-        if not isinstance(error, WAITED_FOR):
-            self._failures += 1
-            tries = self._failures
-            if tries > self._retries:
-                self._failures, self._trouble = 0, ""
-                raise type(error)(f"{error} (gave up after {tries} tries)") from error
-            wait = min(RETRY_PERIOD * 2 ** (tries - 1), LONGEST_RETRY_PERIOD)
-            trouble += f" (try {tries} of {self._retries + 1}, the next in {wait:g} s)"
-        if time.monotonic() >= gives_up_at:
-            self._failures, self._trouble = 0, ""
-            raise error
-        self._held = True
-        self._stand_still(trouble)
-        wall_sleep(max(0.0, min(wait, gives_up_at - time.monotonic())))
+    def _wait_for_retry(self, error: EmbodiedActiveLearningError) -> None:
+        """Report a failure and wait until the retry is due. Raises the error if it is not retried any more."""
+        try:
+            due = self._retry.after(error)
+        except EmbodiedActiveLearningError:
+            self._error = ""
+            raise
+        self._was_held = True
+        self._report(due.message)
+        wall_sleep(due.pause)
 
-    def _stand_still(self, trouble: str) -> None:
-        """Say what is wrong when it is new, and again every few seconds."""
-        if not self._trouble:
-            self._repeats.reset()
-        if self._repeats.should_log(trouble):
-            rospy.logwarn("the arm stands still: %s", trouble)
-        self._trouble = trouble
+    def _report(self, error: str) -> None:
+        """Log why the arm is held still, throttled."""
+        if not self._error:
+            self._throttle.reset()
+        if self._throttle.should_log(error):
+            rospy.logwarn("arm held still: %s", error)
+        self._error = error

@@ -21,9 +21,8 @@ class Recalled(NamedTuple):
     """A run as it was before an observation, and that observation."""
 
     run: ExplorationRun
-    state: np.ndarray  # (3,) m, m, rad: where it was taken
-    arm: np.ndarray  # (M,) what puts a simulated arm back there; empty for a real one
-    stored: Optional[PlanarState]  # the same with its stamp and velocity, when the trainer has stored it
+    state: PlanarState  # where it was taken; a simulated arm can return to this stamp
+    is_stored: bool  # whether the trainer has stored it
 
 
 class PlannerResume:
@@ -33,15 +32,14 @@ class PlannerResume:
         self._config = config
         self._path = SessionPaths(session).planner
 
-    def remember(self, run: ExplorationRun, state: PlanarState, arm: np.ndarray) -> None:
-        """Write down a run and the state of the observation that it is about to hand over; arm: see Recalled.
+    def remember(self, run: ExplorationRun, state: PlanarState) -> None:
+        """Write down a run and the state of the observation that it is about to hand over.
 
         Raises SessionError when the disk fails.
         """
         stamp = state.header.stamp
-        save_memory(
-            self._path, PlannerState(run.step, (stamp.secs, stamp.nsecs), *state_arrays(state), arm, run.state_dict())
-        )
+        pose, velocity = state_arrays(state)
+        save_memory(self._path, PlannerState(run.step, (stamp.secs, stamp.nsecs), pose, velocity, run.state_dict()))
 
     def recall(self, trajectory: np.ndarray) -> Optional[Recalled]:
         """What was written down last, after a trajectory (N, 3) of stored observations; None for a run that begins.
@@ -64,7 +62,5 @@ class PlannerResume:
         except CorruptFileError as error:
             rospy.logwarn("exploration goes on from what is stored, but with other random draws: %s", error)
             return None
-        observed = None
-        if memory.index < stored:
-            observed = state_message(rospy.Time(*memory.stamp), trajectory[-1], memory.velocity)
-        return Recalled(run, memory.state, memory.arm, observed)
+        state = state_message(rospy.Time(*memory.stamp), memory.state, memory.velocity)
+        return Recalled(run, state, memory.index < stored)
