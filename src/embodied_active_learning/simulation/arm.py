@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from operator import add
 from typing import Callable, Dict, List, Mapping, Optional, Sequence
@@ -82,7 +83,7 @@ class SimulatedArm:
     @property
     def tilt(self) -> float:
         """Angle between the optical axis and straight down, rad."""
-        return float(np.arcsin(min(1.0, np.linalg.norm(servo.tilt(self._orientation)))))
+        return math.asin(min(1.0, math.hypot(*servo.tilt(self._orientation))))
 
     @property
     def time(self) -> float:
@@ -169,7 +170,7 @@ class SimulatedArm:
         target = checked_pose(pose, self._workspace)
         target = np.clip(target, self._limits.lower, self._limits.upper)
         allowed = 2.0 + 2.0 * (
-            self._limits.braking_time(self._commanded) + self._limits.travel_time(self._pose, target)
+            self._limits.braking_time(self._commanded) + self._limits.travel_time(self._pose.tolist(), target.tolist())
         )
         deadline = self.time + allowed
         limited = False
@@ -229,7 +230,7 @@ def _checked_arrays(state: Mapping[str, np.ndarray], expected: Mapping[str, np.n
     """Return the arrays as float64. Raises CommandError for other names or shapes, and for non-finite values."""
     if set(state) != set(expected):
         raise CommandError(f"arm state rejected: fields are {sorted(state)}, expected {sorted(expected)}")
-    arrays = {name: np.asarray(state[name], dtype=np.float64) for name in expected}
+    arrays: StateDict = {name: np.asarray(state[name], dtype=np.float64) for name in expected}
     for name, array in arrays.items():
         if array.shape != expected[name].shape or not np.isfinite(array).all():
             raise CommandError(f"arm state rejected: {name} must be {expected[name].size} finite numbers")

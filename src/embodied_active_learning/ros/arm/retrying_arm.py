@@ -104,7 +104,7 @@ class RetryingArm:
     @property
     def in_control(self) -> bool:
         """Whether the arm is where this node's last command has left it, as far as this node knows."""
-        if not self._is_restorable:
+        if not self._is_restorable or self._reached is None:
             return self._lease.is_held
         # Simulated time passes only while the arm moves: a newer state means that it has moved.
         newest = self._camera.newest_state
@@ -257,8 +257,8 @@ class RetryingArm:
         if self._has_restarted:
             self._restore_last_state()
         reached = self._call(command)
-        is_restore = isinstance(command, _Restore)
-        if self._is_restorable and not is_restore and reached.header.stamp <= self._reached.header.stamp:
+        before = self._reached if self._is_restorable and not isinstance(command, _Restore) else None
+        if before is not None and reached.header.stamp <= before.header.stamp:
             raise NoResponseError("the simulated arm has restarted: its time went back")
         self._reached = reached
         return reached
@@ -280,7 +280,7 @@ class RetryingArm:
             if isinstance(command, _Restore):
                 reached = self._restore(command.state)
             elif isinstance(command, VelocityCommand):
-                reached = self._arm.move(command.velocity, command.duration)
+                reached = self._arm.move(command.velocity.tolist(), command.duration)
             else:
                 reached = self._arm.go_to((command.x, command.y, command.theta))
         except (ArmBusyError, ArmStoppedError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple, Sequence
+from typing import Any, NamedTuple, Sequence
 
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
@@ -69,32 +69,32 @@ class ArmServer(ABC):
     def recover(self) -> None:  # noqa: B027 - nothing to do for an arm that has no errors
         """Make the arm ready to move at a person's request. Raises EmbodiedActiveLearningError."""
 
-    def handle_move(self, request) -> MoveArmResponse:
+    def handle_move(self, request: Any) -> MoveArmResponse:
         """Service /arm/move."""
         with self.arbiter.command(request) as stop:
             state, limited = self.move((request.vx, request.vy, request.omega), request.duration, stop)
             self._limited += limited
             return MoveArmResponse(True, LIMITED if limited else "", ArmCause.NONE, state, limited)
 
-    def handle_go_to(self, request) -> GoToPoseResponse:
+    def handle_go_to(self, request: Any) -> GoToPoseResponse:
         """Service /arm/go_to."""
         with self.arbiter.command(request) as stop:
             state = self.go_to((request.x, request.y, request.theta), stop)
             return GoToPoseResponse(True, "", ArmCause.NONE, state)
 
-    def handle_heartbeat(self, request) -> TriggerResponse:
+    def handle_heartbeat(self, request: Any) -> TriggerResponse:
         """Service /arm/heartbeat."""
         self.arbiter.heartbeat(request)
         return TriggerResponse(True, "")
 
-    def handle_stop(self, request) -> TriggerResponse:
+    def handle_stop(self, request: Any) -> TriggerResponse:
         """Service /arm/stop: the command in progress ends at once."""
         with self.arbiter.stop(request) as needs_recovery:
             self.stop()
         remedy = f"; commands are rejected until {rospy.resolve_name(names.ARM_RECOVER)} is called"
         return TriggerResponse(True, f"the arm stands still{remedy if needs_recovery else ''}")
 
-    def handle_recover(self, _request) -> TriggerResponse:
+    def handle_recover(self, _request: Any) -> TriggerResponse:
         """Service /arm/recover: a person confirms that the arm may move again. A stop ends once the arm is ready."""
         with self.arbiter.recovery():
             self.recover()
