@@ -108,7 +108,7 @@ def make_sample(root: Path) -> Path:
         sought = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)
         sought.observe(states, images)
         save_identification(session.paths.path, "first", sought, sought.decide(states, images))
-        memory = ExplorationRun(config).memory()
+        memory = ExplorationRun(config).state_dict()
         save_memory(session.paths.path / "planner.safetensors", _planner_memory(memory))
         _write_arm_states(session.paths.arm_states)
         write_summary(session.paths.summary, summarise(session, True, 1.5))

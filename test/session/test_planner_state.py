@@ -19,7 +19,7 @@ def memory():
     run.assess(None)
     run.next_command()
     state, velocity = np.array([0.4, 0.1, 0.2]), np.array([0.1, 0.0, np.pi])
-    return PlannerState(1, (12, 345), state, velocity, run.memory())
+    return PlannerState(1, (12, 345), state, velocity, run.state_dict())
 
 
 def test_a_memory_comes_back_bit_for_bit(tmp_path, memory):
