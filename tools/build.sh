@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds messages and the devel space in build/, with the virtual environment's interpreter.
-set -eo pipefail  # not -u: ROS's own set-up files read variables that are not set
+# Builds messages and the devel space in build/ with the Python interpreter of .venv.
+set -eo pipefail  # not -u: ROS's setup files read unset variables
 cd "$(dirname "$0")/.."
 if [ -f /opt/ros/noetic/setup.bash ]; then
     source /opt/ros/noetic/setup.bash

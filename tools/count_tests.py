@@ -1,9 +1,9 @@
-"""Prints 'N passed, N failed, N skipped' from a JUnit file."""
+"""Print 'N passed, N failed, N skipped' from a JUnit file."""
 
 import sys
 from xml.etree import ElementTree
 
-suites = ElementTree.parse(sys.argv[1]).getroot().iter("testsuite")  # noqa: S314  our own test runner's file
+suites = ElementTree.parse(sys.argv[1]).getroot().iter("testsuite")  # noqa: S314  written by our test runner
 counts = {"tests": 0, "failures": 0, "errors": 0, "skipped": 0}
 for suite in suites:
     for key in counts:

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Learns one world in PyBullet, fingerprints what it has learned and finds it again in another world; headless, and with
-# a truthful exit status. Arguments go to learn.launch (tools/demo.sh world:=right seed:=2 rviz:=true), but for those of
-# the last part: identify_world:=stars_ducks images:=1000.
-set -eo pipefail  # not -u: ROS's own set-up files read variables that are not set
+# Learns one world in PyBullet, fingerprints its objects, and identifies them in another world; headless.
+# Arguments go to learn.launch (tools/demo.sh world:=right seed:=2 rviz:=true), except for those of the last part:
+# identify_world:=stars_ducks images:=1000. Exit status: 0 if all three parts have finished.
+set -eo pipefail  # not -u: ROS's setup files read unset variables
 cd "$(dirname "$0")/.."
 
 root="${HOME}/.ros/embodied_active_learning"
@@ -22,7 +22,7 @@ for argument in "$@"; do
     esac
 done
 root="${root/#\~/$HOME}"
-found="${session:0:60}-id"  # names have at most 64 characters
+found="${session:0:60}-id"  # at most 64 characters
 
 echo "1 of 3: learning"
 tools/learn.sh "profile:=$profile" "session:=$session" "session_root:=$root" "${learn[@]}"
@@ -30,7 +30,7 @@ tools/learn.sh "profile:=$profile" "session:=$session" "session_root:=$root" "${
 source tools/local_master.bash
 echo "2 of 3: fingerprinting"
 roslaunch embodied_active_learning fingerprint.launch "session:=$session" "session_root:=$root"
-# roslaunch exits 0 even when a node has died, so the last file of each part has the last word.
+# roslaunch exits 0 even if a node has died, so the exit status comes from the files of each part.
 python3 tools/check_session.py fingerprinted "$root/$session"
 
 echo "3 of 3: identifying in $identify_world"

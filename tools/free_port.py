@@ -1,11 +1,11 @@
-"""Prints the preferred TCP port if it is free, else another one that is."""
+"""Print the preferred TCP port if it is free, else another free one."""
 
 import socket
 import sys
 
 
 def free_port(preferred: int) -> int:
-    """The preferred port, or one that the system picks."""
+    """Return the preferred port, or one chosen by the system."""
     for port in (preferred, 0):
         with socket.socket() as probe:
             try:
@@ -13,7 +13,7 @@ def free_port(preferred: int) -> int:
             except OSError:
                 continue
             return probe.getsockname()[1]
-    raise OSError("no TCP port is free")
+    raise OSError("no free TCP port")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-# To be sourced: the environment of launches that run by themselves on this machine.
+# Sourced by the scripts that launch on this machine: environment and ROS master.
 source ./setup.bash
-# A master of its own where the usual port is taken, so that nobody's running system is disturbed.
+# Use another port if a system is running on the usual one.
 ROS_MASTER_URI="http://localhost:$(python3 tools/free_port.py 11311)"
 export ROS_MASTER_URI ROSCONSOLE_FORMAT='${node}: ${message}' PYTHONUNBUFFERED=1
-# The host's own name may not resolve, in a container say; all nodes are here.
+# The host name may not resolve, for example in a container.
 [ -n "${ROS_IP:-}${ROS_HOSTNAME:-}" ] || export ROS_HOSTNAME=localhost
-echo "to look at the running system:  source setup.bash; export ROS_MASTER_URI=$ROS_MASTER_URI"
+echo "to inspect the running system:  source setup.bash; export ROS_MASTER_URI=$ROS_MASTER_URI"

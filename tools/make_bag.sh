@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Makes the bag that comes with the package anew, by a simulated run of a minute: tools/make_bag.sh FILE.bag
-# The same machine makes the same bag again, but for settings that have come since.
-set -eo pipefail  # not -u: ROS's own set-up files read variables that are not set
-bag="$(realpath -- "${1:?give the path of the bag to be written, ending with .bag}")"
+# Records the example bag again, in a simulated run of a minute: tools/make_bag.sh FILE.bag
+# The result is the same on the same machine, except for settings added since.
+set -eo pipefail  # not -u: ROS's setup files read unset variables
+bag="$(realpath -- "${1:?give the path of the new bag, ending with .bag}")"
 cd "$(dirname "$0")/.."
 root="$(mktemp -d)"
 trap 'rm -rf "$root"' EXIT

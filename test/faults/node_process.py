@@ -1,4 +1,4 @@
-"""A node of the package as a process of the test's own, which can kill it and freeze it, and see how it ends."""
+"""A node in its own process, which tests kill, freeze and end."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ import rospy
 
 
 class NodeProcess:
-    """Runs under the test's master. It ends with the test: both are in one process group."""
+    """Runs with the master of the test, in its process group."""
 
     def __init__(self, node):
         self.log = Path(os.environ["ROS_HOME"]) / f"{node}.log"
@@ -36,7 +36,7 @@ class NodeProcess:
         self.process.send_signal(signal.SIGCONT)
 
     def end(self, timeout=20.0):
-        """Ask it to end, also if it is frozen -> its exit status."""
+        """End the node, even if it is frozen, and return its exit status."""
         self.process.send_signal(signal.SIGINT)
         self.thaw()
         try:
@@ -47,7 +47,7 @@ class NodeProcess:
 
 @contextmanager
 def frozen(node):
-    """A node, whoever started it, that does not answer while the block lasts."""
+    """Freeze any running node while the block runs."""
     caller = rospy.get_name()
     _, _, pid = ServerProxy(rosgraph.Master(caller).lookupNode(node)).getPid(caller)
     os.kill(pid, signal.SIGSTOP)

@@ -1,4 +1,4 @@
-"""A whole run whose nodes are killed, frozen and ended one after the other: it stays lean, goes on, ends in time."""
+"""A run whose nodes are killed, frozen and ended one after the other: memory, resuming, shutdown."""
 
 import os
 import signal
@@ -24,13 +24,13 @@ pytestmark = pytest.mark.ros
 
 TINY = ROOT / "test" / "rostest" / "tiny.yaml"
 NODES = ("pybullet_arm", "trainer", "ergodic_planner", "fingerprinter", "monitor")
-LOOKS, PERIOD = 40, 0.4
-MEMORY = 4.0  # MB that a node may take more of during the second half of the looks
-IMAGE = 60 * 60 * 3 / 2**20  # MB of one of TINY's images
+SAMPLES, PERIOD = 40, 0.4
+MEMORY = 4.0  # MB by which a node may grow during the second half of the samples
+IMAGE = 60 * 60 * 3 / 2**20  # MB of an image of TINY
 
 
 class Run:
-    """A learning run whose nodes come back when they have crashed."""
+    """A learning run with respawn:=true."""
 
     def __init__(self, home, process, variables):
         self.path = home / "run"
@@ -39,7 +39,7 @@ class Run:
         self._log = home / "launch.log"
 
     @property
-    def said(self):
+    def output(self):
         return self._log.read_text()
 
     @property
@@ -58,40 +58,40 @@ class Run:
     def pid(self, node):
         return pid_of(node, self.process.pid)
 
-    def arm_stands_still(self):
+    def arm_rests(self):
         command = ["rostopic", "echo", "-n1", "/arm/state"]
-        answer = subprocess.run(command, env=self.variables, capture_output=True, text=True, timeout=30, check=True)
-        state = next(yaml.safe_load_all(answer.stdout))
+        response = subprocess.run(command, env=self.variables, capture_output=True, text=True, timeout=30, check=True)
+        state = next(yaml.safe_load_all(response.stdout))
         return max(abs(state[key]) for key in ("vx", "vy", "omega")) < 1e-4
 
     def wait_for(self, condition, timeout=60):
         ends_at = time.monotonic() + timeout
         while not condition():
-            assert self.process.poll() is None, self.said
-            assert time.monotonic() < ends_at, self.said
+            assert self.process.poll() is None, self.output
+            assert time.monotonic() < ends_at, self.output
             time.sleep(0.05)
 
     def wait_for_progress(self):
         before = self.steps
         self.wait_for(lambda: self.steps > before + 5)
 
-    def wait_for_another(self, node, former):
-        """Return once a node has come back as another process."""
+    def wait_for_respawn(self, node, former):
+        """Return once a node runs in another process."""
 
-        def is_back():
+        def is_respawned():
             try:
                 return self.pid(node) != former
             except AssertionError:
                 return False
 
-        self.wait_for(is_back)
+        self.wait_for(is_respawned)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     home = tmp_path_factory.mktemp("run")
     profile = yaml.safe_load(TINY.read_text())
-    profile["training"]["checkpoint_every"] = 60  # a trainer that comes back has little to make up for
+    profile["training"]["checkpoint_every"] = 60  # a respawned trainer repeats few updates
     (home / "profile.yaml").write_text(yaml.safe_dump(profile))
     values = {"profile": home / "profile.yaml", "session_root": home, "session": "run", "steps": 20000}
     arguments = [f"{name}:={value}" for name, value in {**values, "respawn": "true"}.items()]
@@ -116,7 +116,7 @@ def is_gone(process):
 
 
 def end(process, sig):
-    """Send a signal -> how long the process took to end, in seconds; it is given ten."""
+    """Send a signal and return the seconds until the process has ended, at most ten."""
     began = time.monotonic()
     os.kill(process, sig)
     while not is_gone(process) and time.monotonic() < began + 10.0:
@@ -124,10 +124,10 @@ def end(process, sig):
     return time.monotonic() - began
 
 
-def test_memory_handles_and_threads_of_every_node_stay_flat(run):
+def test_memory_handles_and_threads_do_not_grow(run):
     tracks = {node: [] for node in NODES}
     processes = {node: run.pid(node) for node in NODES}
-    for _ in range(LOOKS):
+    for _ in range(SAMPLES):
         for node, track in tracks.items():
             item = soak.look(processes[node])
             images = IMAGE * run.steps if node == "trainer" else 0.0
@@ -136,54 +136,54 @@ def test_memory_handles_and_threads_of_every_node_stay_flat(run):
     assert not any(soak.what_grows(track, MEMORY) for track in tracks.values()), soak.table(tracks)
 
 
-def test_a_run_goes_on_when_its_trainer_has_crashed(run):
+def test_run_continues_after_trainer_crash(run):
     former = run.pid("trainer")
     os.kill(former, signal.SIGKILL)
-    run.wait_for_another("trainer", former)
+    run.wait_for_respawn("trainer", former)
     run.wait_for_progress()
 
 
-def test_a_trainer_ends_with_a_checkpoint_although_the_master_hangs(run):
+def test_trainer_saves_checkpoint_while_master_hangs(run):
     trainer = run.pid("trainer")
     with frozen(run.pid("rosmaster")):
         assert end(trainer, signal.SIGTERM) < 5.0
         assert run.last_update == run.checkpoint.counters["updates"] > 0
-    run.wait_for_another("trainer", trainer)
+    run.wait_for_respawn("trainer", trainer)
     run.wait_for_progress()
 
 
-def test_a_planner_ends_in_time_although_the_trainer_hangs(run):
+def test_planner_ends_while_trainer_hangs(run):
     planner = run.pid("ergodic_planner")
     with frozen(run.pid("trainer")):
-        time.sleep(0.5)  # long enough for the planner to be waiting for it
+        time.sleep(0.5)  # the planner waits for it by then
         assert end(planner, signal.SIGTERM) < 5.0
-    assert run.arm_stands_still()
-    run.wait_for_another("ergodic_planner", planner)
+    assert run.arm_rests()
+    run.wait_for_respawn("ergodic_planner", planner)
     run.wait_for_progress()
 
 
-def test_a_planner_ends_in_time_although_the_arm_hangs(run):
+def test_planner_ends_while_arm_hangs(run):
     planner = run.pid("ergodic_planner")
     with frozen(run.pid("pybullet_arm")):
         time.sleep(0.5)
         assert end(planner, signal.SIGINT) < 5.0
-    run.wait_for_another("ergodic_planner", planner)
+    run.wait_for_respawn("ergodic_planner", planner)
     run.wait_for_progress()
 
 
-def test_z_a_run_that_is_interrupted_leaves_a_checkpoint_and_nothing_else(run):
+def test_z_interrupted_run_leaves_checkpoint_and_no_processes(run):
     processes = {node: run.pid(node) for node in NODES}
     grandchildren = [child for process in processes.values() for child in child_processes(process)]
     began = time.monotonic()
     run.process.send_signal(signal.SIGINT)
     while not all(map(is_gone, processes.values())):
         left = [node for node, process in processes.items() if not is_gone(process)]
-        assert time.monotonic() < began + 5.0, f"{left} did not end in time\n{run.said}"
+        assert time.monotonic() < began + 5.0, f"{left} still running\n{run.output}"
         time.sleep(0.02)
     assert all(map(is_gone, grandchildren))
     run.process.wait(30)
-    assert "Traceback" not in run.said
+    assert "Traceback" not in run.output
     assert run.last_update == run.checkpoint.counters["updates"] > 0
     assert len(Session.open_read_only(run.path).open_observations()) >= run.steps > 80
-    # Nobody holds it any more, and nothing keeps it from going on.
+    # The session is unlocked and can be resumed.
     resolve("", [f"session/root={run.path.parent}", "session/name=run", "session/resume=true"])

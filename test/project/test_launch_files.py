@@ -1,4 +1,4 @@
-"""Launch files: every argument says what it is for."""
+"""Launch files: documented arguments, nodes and parameters."""
 
 import os
 import subprocess
@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
+from roslaunch.arg_dump import get_args
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader
 
@@ -14,15 +15,34 @@ LAUNCH = sorted((Path(__file__).resolve().parents[2] / "launch").glob("*.launch"
 
 
 @pytest.mark.parametrize("path", LAUNCH, ids=lambda path: path.stem)
-def test_every_argument_has_its_meaning_beside_it(path):
+def test_arguments_are_documented(path):
     for argument in ElementTree.parse(path).getroot().iter("arg"):
         if argument.get("value") is None:
             assert argument.get("doc"), f"{path.name}: argument {argument.get('name')} lacks doc="
 
 
+@pytest.mark.parametrize(
+    ("name", "required"),
+    [
+        ("learn", set()),
+        ("fingerprint", {"session"}),
+        ("identify", set()),
+        ("replay", {"bag"}),
+        ("robot", set()),
+        ("two_machines", {"robot_host", "server_host", "robot_env", "server_env", "robot_ip"}),
+    ],
+)
+def test_roslaunch_lists_only_required_arguments_as_required(name, required):
+    """`roslaunch --ros-args` lists arguments with an empty default as required, and derived ones as optional."""
+    arguments = get_args([str(LAUNCH[0].parent / f"{name}.launch")])
+    assert {argument for argument, (_, default) in arguments.items() if not default} == required
+    if name != "robot":
+        assert [argument for argument, (doc, _) in arguments.items() if not doc] == []
+
+
 @pytest.fixture
 def lab(tmp_path):
-    """An environment in which the packages of a real arm are installed, as far as launch files look into them."""
+    """An environment with stubs of the packages of a real arm that the launch files refer to."""
     files = {
         "franka_control": {
             "launch/franka_control.launch": """<launch>
@@ -46,24 +66,24 @@ def lab(tmp_path):
     return {**os.environ, "ROS_PACKAGE_PATH": f"{tmp_path}:{os.environ['ROS_PACKAGE_PATH']}", "ROS_HOME": str(tmp_path)}
 
 
-def test_a_real_arm_is_brought_up_with_its_controller_its_camera_and_nothing_that_moves_it_besides(lab):
-    def told(option, *arguments):
+def test_robot_launch_starts_controller_camera_and_no_other_commander(lab):
+    def roslaunch(option, *arguments):
         command = ["roslaunch", option, "embodied_active_learning", "robot.launch", "robot_ip:=172.16.0.2", *arguments]
         return subprocess.run(command, env=lab, check=True, capture_output=True, text=True).stdout
 
-    assert set(told("--nodes").split()) == {"/franka_control", "/usb_cam", "/franka_arm", "/camera_pipeline"}
-    parameters = yaml.safe_load(told("--dump-params", "exposure:=100", "video_device:=/dev/video3"))
+    assert set(roslaunch("--nodes").split()) == {"/franka_control", "/usb_cam", "/franka_arm", "/camera_pipeline"}
+    parameters = yaml.safe_load(roslaunch("--dump-params", "exposure:=100", "video_device:=/dev/video3"))
     assert parameters["/franka_control/robot_ip"] == "172.16.0.2"
     assert parameters["/cartesian_impedance_example_controller/arm_id"] == "panda"
     camera = {name.rsplit("/", 1)[1]: value for name, value in parameters.items() if name.startswith("/usb_cam/")}
     assert (camera["exposure"], camera["video_device"]) == (100, "/dev/video3")
     assert not any(camera[name] for name in ("autoexposure", "autofocus", "auto_white_balance"))
     assert parameters["/franka_arm/config"]["arm"]["robot"] == "franka"
-    assert not any(name.startswith("/config") for name in parameters)  # of a system that may be learning already
+    assert not any(name.startswith("/config") for name in parameters)  # belongs to a system that may be learning
     assert not parameters["/use_sim_time"]
 
 
-def test_over_two_machines_the_arm_runs_at_the_robot_and_all_else_on_the_server(tmp_path):
+def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
     config = ROSLaunchConfig()
     arguments = {
         "robot_host": "10.77.0.1",

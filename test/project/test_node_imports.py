@@ -1,4 +1,4 @@
-"""What a node imports as it starts: each second of that is one more before the first step of every run."""
+"""Nodes start without slow imports that they do not need yet."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ LARGE = ("torch", "sklearn", "matplotlib")
 
 
 @pytest.mark.parametrize("node", ["ergodic_planner", "fingerprinter", "monitor", "pybullet_arm"])
-def test_a_node_starts_without_the_libraries_that_it_does_not_need_yet(node):
+def test_node_starts_without_large_libraries(node):
     program = f"""
 import runpy, sys
 runpy.run_path({str(ROOT / "nodes" / node)!r})

@@ -1,4 +1,4 @@
-"""Runs every rostest file, each with a master of its own, and tells what failed in it."""
+"""Runs every rostest file, each with its own master, and reports the failed cases."""
 
 import os
 import subprocess
@@ -13,16 +13,16 @@ pytestmark = pytest.mark.ros
 
 FILES = sorted(path for folder in ("rostest", "faults") for path in (ROOT / "test" / folder).glob("*.test"))
 AT_ONCE = 2
-"""Files that run beside each other: for most of the time nodes wait for each other, or for a fault to be noticed."""
+"""Number of files that run in parallel: most of the time their nodes wait."""
 TIMEOUT = 600  # s
 
 
 @pytest.fixture(scope="module")
 def runs(request, tmp_path_factory):
-    """The runs of the chosen files, in the order in which their tests ask for them: path -> future of (run, folder)."""
-    chosen = [item.callspec.params["path"] for item in request.session.items if item.module is request.module]
+    """The runs of the selected files in test order: path -> future of (run, folder)."""
+    selected = [item.callspec.params["path"] for item in request.session.items if item.module is request.module]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        futures = {path: pool.submit(_run, path, tmp_path_factory.mktemp(path.stem)) for path in chosen}
+        futures = {path: pool.submit(_run, path, tmp_path_factory.mktemp(path.stem)) for path in selected}
         yield futures
         for future in futures.values():
             future.cancel()

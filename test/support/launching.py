@@ -1,4 +1,4 @@
-"""Starting launch files as a user does, each with a master of its own, and never leaving anything behind."""
+"""Starts launch files as a user does, each with its own master, and ends all processes."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from free_port import free_port  # noqa: E402  lies in tools/, which is no packa
 
 
 def environment(home):
-    """The environment of a launch that has master and log folder to itself."""
+    """Return the environment of a launch with its own master and log folder."""
     return {
         **os.environ,
         "ROS_MASTER_URI": f"http://localhost:{free_port(0)}",
@@ -26,7 +26,7 @@ def environment(home):
 
 @contextmanager
 def started(command, log_path, variables):
-    """A process of ours, its output in a file. Ended when the block ends."""
+    """Run a process with its output in a file; end it after the block."""
     with Path(log_path).open("w") as log:
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=variables, start_new_session=True)
         try:
@@ -38,28 +38,28 @@ def started(command, log_path, variables):
 
 
 def launched(home, *arguments, variables=None):
-    """roslaunch with arguments, its output in home/launch.log."""
+    """Run roslaunch with its output in home/launch.log."""
     options = ["--sigint-timeout=10", "--sigterm-timeout=3"]
     command = ["roslaunch", *options, "embodied_active_learning", *arguments]
     return started(command, Path(home) / "launch.log", variables or environment(home))
 
 
 def launch_to_the_end(home, *arguments, timeout=300):
-    """Run a launch file until it ends by itself -> what it printed."""
+    """Run a launch file to its end and return its output."""
     with launched(home, *arguments) as process:
         process.wait(timeout)
     return (Path(home) / "launch.log").read_text()
 
 
 def processes_of(launcher):
-    """Process numbers of what a roslaunch has started, by the names of the nodes; what has no name is the rosmaster."""
+    """Return the process ids of the nodes of a roslaunch by name; the process without a name is rosmaster."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
             words = (folder / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
         except (OSError, IndexError, ValueError):
-            continue  # it has ended meanwhile
+            continue  # the process has ended meanwhile
         if parent == launcher:
             name = next((word[len("__name:=") :] for word in words if word.startswith("__name:=")), "rosmaster")
             found[name] = int(folder.name)
@@ -67,7 +67,7 @@ def processes_of(launcher):
 
 
 def pid_of(node, launcher):
-    """The process of a node that this launcher started."""
+    """Return the process id of a node of a roslaunch."""
     processes = processes_of(launcher)
     assert node in processes, f"{node} is not running"
     return processes[node]

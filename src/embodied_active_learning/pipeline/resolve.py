@@ -26,6 +26,8 @@ from embodied_active_learning.session.session import Session, check_session, ses
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 from embodied_active_learning.simulation.world import find_world, load_world
 
+UNSET = "unset"
+"""Default of optional launch arguments: roslaunch --ros-args lists those with an empty default as required."""
 BRINGUPS = ("all", "nodes", "none")
 """What of the arm a launch file starts: everything, all but a real arm's drivers, or nothing."""
 
@@ -49,7 +51,7 @@ def resolve(
     """
     config = combine(profile, overrides, robot_profile, recorded)
     if config.arm.robot == SIMULATED:
-        if robot_profile:
+        if given(robot_profile):
             raise ConfigError(
                 f"the robot profile {shown(robot_profile)} is for a real robot: set arm/robot, or leave it out"
             )
@@ -71,7 +73,13 @@ def combine(
 ) -> Config:
     """What resolve begins with: the settings, without a look at session and world. Raises ConfigError."""
     changes = _changes(overrides)
+    profile, robot_profile = given(profile), given(robot_profile)
     return Config.from_dict(merge(_base(profile, robot_profile, changes, dict(recorded or {})), changes))
+
+
+def given(value: str) -> str:
+    """Return the value of a launch argument; empty if it is unset."""
+    return "" if value == UNSET else value
 
 
 def _changes(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
@@ -87,7 +95,7 @@ def check_bringup(config: Config, bringup: str, robot_ip: str) -> None:
         raise ConfigError(f"bringup is {shown(bringup)}: legal are {', '.join(BRINGUPS)}")
     if config.arm.robot == RECORDED and bringup != "none":
         raise ConfigError("arm/robot is recording: nothing is to be started for it")
-    if config.arm.robot == REAL and bringup == "all" and not robot_ip:
+    if config.arm.robot == REAL and bringup == "all" and not given(robot_ip):
         raise ConfigError(
             "robot_ip is missing: give the address of the Panda's controller, robot_ip:=172.16.0.2 say, or "
             "bringup:=nodes where franka_ros and the camera's driver run already"
@@ -132,7 +140,7 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
     section, slash, key = path.partition("/")
     if not (equals and slash and section and key):
         raise ConfigError(f"override {shown(text)} is not of the form section/key=value")
-    if not value:
+    if not given(value):
         return {}
     try:
         return {section: {key: value if _is_text(section, key) else parse_yaml(value)}}

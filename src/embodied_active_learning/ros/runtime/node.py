@@ -55,6 +55,8 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
         if needs_clock:
             wait_for_clock()
         body(read_config())
+        if always_required and not is_shutting_down():
+            rospy.loginfo("finished; roslaunch now reports this node in red as a required process that has died")
     except EmbodiedActiveLearningError as error:
         rospy.logfatal("%s", error)
         if not always_required:
