@@ -13,24 +13,23 @@ import argparse
 import csv
 from dataclasses import replace
 from pathlib import Path
-from typing import Dict, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Iterator, List, NamedTuple, Sequence, Tuple
 
 import numpy as np
 import torch
 
 from embodied_active_learning.config import Config, IdentificationConfig
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
-from embodied_active_learning.objects.report import SAME_PLACE, nearest, score
+from embodied_active_learning.objects.report import SAME_PLACE, Truth, nearest, score
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.pipeline.exploration import ExplorationRun
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.simulation import Simulation
-from embodied_active_learning.simulation.truth import fingerprint_kinds, true_objects
+from embodied_active_learning.simulation.truth import true_objects, true_scene
 from embodied_active_learning.simulation.world import Disturbances, World, load_world
 
 WORLDS = ("star_plant_duck", "plants_ducks", "stars_ducks", "stars_plants")
@@ -38,6 +37,8 @@ CONDITIONS = ("clean", "noise", "brightness", "texture")
 NOISE = 10.0  # grey levels
 BRIGHTNESS = 0.85
 TEXTURE = "wood.png"
+RANKED = "ranked (count known), our reading"
+"""The paper does not state when a fingerprint counts as identified."""
 STREAM_SEED = 100
 
 
@@ -178,21 +179,21 @@ def evaluate(
     """Look for every fingerprint and score each rule."""
     config = Config(simulation=replace(Config().simulation, world=world))
     settings = IdentificationConfig(features=features)
-    objects, box = true_objects(config), config.workspace.box()
+    box = config.workspace.box()
     identification = Identification(sets, box, config.camera, settings)
     identification.observe(states, images)
     verified = identification.decide(states, images)
-    kinds = fingerprint_kinds(sets)
+    truth = true_scene(config, sets)
     for item in identification.targets:
         key = (item.session, item.fingerprint.name)
-        instances = sum(kind == kinds[key] for kind, _, _ in objects)
+        instances = sum(kind == truth.kinds[key] for kind, _, _ in truth.objects)
         rules = {
-            "ranked": ranked(item, settings, instances),
+            RANKED: ranked(item, settings, instances),
             "belief > 0.5": [d for d in peaks(item, settings) if d.belief_mean > 0.5],
             "verified": verified,
         }
         for rule, decisions in rules.items():
-            yield outcome(condition, features, rule, world, decisions, {key: kinds[key]}, objects)
+            yield outcome(condition, features, rule, world, decisions, replace(truth, kinds={key: truth.kinds[key]}))
 
 
 def outcome(
@@ -201,12 +202,11 @@ def outcome(
     rule: str,
     world: str,
     decisions: Sequence[Decision],
-    kinds: Dict[Tuple[str, str], str],
-    objects: Sequence[Location],
+    truth: Truth,
 ) -> Outcome:
     """The score of one fingerprint under one rule; a blank is one instance."""
-    ((session, name), kind), *_ = kinds.items()
-    hits, instances, errors, false = score(decisions, kinds, objects)
+    ((session, name), kind), *_ = truth.kinds.items()
+    hits, instances, errors, false = score(decisions, truth)
     claims = sum((d.session, d.fingerprint) == (session, name) and d.found for d in decisions)
     if kind == BLANK:
         hits, instances = int(claims > 0 and not false), 1
@@ -235,7 +235,7 @@ def peaks(item: SearchTarget, settings: IdentificationConfig) -> List[Decision]:
 
 
 def ranked(item: SearchTarget, settings: IdentificationConfig, instances: int) -> List[Decision]:
-    """The paper's table: as many of the highest peaks as there are instances; for a blank the highest."""
+    """Return as many of the highest peaks as there are instances of the kind, or one for a blank."""
     return peaks(item, settings)[: 1 if item.fingerprint.kind == BLANK else instances]
 
 

@@ -13,7 +13,7 @@ from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
-from embodied_active_learning.simulation.truth import fingerprint_kinds, true_objects
+from embodied_active_learning.simulation.truth import true_scene
 
 
 def main(part: str, path: Path, names: List[str]) -> int:
@@ -43,13 +43,14 @@ def fingerprinted(path: Path) -> str:
 def identified(path: Path, name: str) -> str:
     """Whether decisions are stored -> them beside the truth."""
     result = load_identification(path, name)
-    objects = true_objects(Session.open_read_only(path).config)
     sessions = dict.fromkeys(decision.session for decision in result.decisions)
-    kinds = fingerprint_kinds([load_fingerprints(path.parent / session) for session in sessions])
-    hits, instances, _, false = score(result.decisions, kinds, objects)
+    sets = [load_fingerprints(path.parent / session) for session in sessions]
+    truth = true_scene(Session.open_read_only(path).config, sets)
+    scored = score(result.decisions, truth)
     return (
-        f"\n{decision_table(result.decisions, kinds, objects)}\n\n"
-        f"{hits} of {instances} objects found that a fingerprint is of, {false} false claims, {result.images} images\n"
+        f"\n{decision_table(result.decisions, truth)}\n\n"
+        f"{scored.hits} of {scored.instances} known objects found, {scored.false_claims} false claims, "
+        f"{result.images} images\n"
         f"  beliefs  {path / 'figures' / 'beliefs.png'}\n"
         f"  results  {identification_folder(path, name)}"
     )

@@ -17,7 +17,7 @@ import rosbag
 from std_msgs.msg import String
 
 from embodied_active_learning.errors import BagError, SessionError
-from embodied_active_learning.figures.fingerprints import draw_fingerprints
+from embodied_active_learning.figures.fingerprint_sheet import draw_fingerprints
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.ros.bags.writer import BagWriter

@@ -1,6 +1,14 @@
-"""Pictures of a session, drawn without a display."""
+"""Figures of sessions, fingerprints and identifications, drawn without a display.
 
-from embodied_active_learning.figures.mosaic import look_back
-from embodied_active_learning.figures.session_figures import draw_all
+Matplotlib is imported here without the user's MPLBACKEND: importing it fails if that is not a known backend. Figures
+use neither pyplot nor the user's matplotlibrc (see style.default_style).
+"""
 
-__all__ = ["draw_all", "look_back"]
+import os
+
+_backend = os.environ.pop("MPLBACKEND", None)
+try:
+    import matplotlib  # noqa: F401
+finally:
+    if _backend is not None:
+        os.environ["MPLBACKEND"] = _backend

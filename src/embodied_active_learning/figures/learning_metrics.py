@@ -1,4 +1,4 @@
-"""The paper's figure of learning metrics: are the latents in use, and does the arm go where the uncertainty is."""
+"""Learning metrics over a run, as in the paper: active units, ergodic measure, loss, loss weights and path."""
 
 from __future__ import annotations
 
@@ -10,23 +10,37 @@ from matplotlib.axes import Axes
 
 from embodied_active_learning.config import SIMULATED
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.figures.mosaic import Seen, look_back
-from embodied_active_learning.figures.style import GREY, LARGE, SMALL, colour, label, new_figure, quiet, save
-from embodied_active_learning.figures.views import draw_path, draw_top_view
+from embodied_active_learning.figures.style import (
+    GREY,
+    LARGE,
+    SMALL,
+    colour,
+    default_style,
+    label,
+    new_figure,
+    save,
+    style_axes,
+)
+from embodied_active_learning.figures.top_view import SessionImages, load_session_images
+from embodied_active_learning.figures.workspace_axes import draw_path, draw_top_view
 from embodied_active_learning.session.session import Session
 
-_HEIGHTS = (1.0, 1.0, 1.0, 1.0, 2.6)
+_ROW_HEIGHTS = (1.0, 1.0, 1.0, 1.0, 2.6)
+_COLUMN_WIDTH, _LABEL_WIDTH, _HEIGHT = 3.2, 1.0, 9.2  # inches
 
 
-def draw_learning_metrics(path: Path, sessions: Sequence[Session], look: Callable[[Session], Seen] = look_back) -> Path:
-    """One column for each world and explorer, its seeds over each other; rows as in the paper, and the loss.
+@default_style
+def draw_learning_metrics(
+    path: Path, sessions: Sequence[Session], load_images: Callable[[Session], SessionImages] = load_session_images
+) -> Path:
+    """Draw a column per world and explorer, with a line per seed.
 
-    look: what tells what a session's camera has seen.
+    load_images: returns the images of a session.
     """
     columns = _columns(sessions)
-    figure = new_figure(1.0 + 3.2 * len(columns), 9.2)
+    figure = new_figure(_LABEL_WIDTH + _COLUMN_WIDTH * len(columns), _HEIGHT)
     grid = figure.subplots(
-        len(_HEIGHTS), len(columns), squeeze=False, gridspec_kw={"height_ratios": _HEIGHTS}, sharey="row"
+        len(_ROW_HEIGHTS), len(columns), squeeze=False, gridspec_kw={"height_ratios": _ROW_HEIGHTS}, sharey="row"
     )
     for index, (title, members) in enumerate(columns.items()):
         axes: List[Axes] = list(grid[:, index])
@@ -35,16 +49,16 @@ def draw_learning_metrics(path: Path, sessions: Sequence[Session], look: Callabl
         _draw_ergodic_measure(axes[1], members)
         _draw_loss(axes[2], members)
         _draw_weights(axes[3], members)
-        _draw_workspace(axes[4], members[0], look(members[0]))
+        _draw_workspace(axes[4], members[0], load_images(members[0]))
         for later in axes if index else ():
             later.set_ylabel("")
     return save(figure, path)
 
 
 def _columns(sessions: Sequence[Session]) -> Dict[str, List[Session]]:
-    """Sessions by the title of their column: the ergodic ones first, then the baselines."""
+    """Group sessions by the title of their column: the ergodic explorer first, then baselines."""
     if not sessions:
-        raise SessionError("there is nothing to draw: give at least one session")
+        raise SessionError("no session to draw: give at least one session")
     columns: Dict[str, List[Session]] = {}
     for session in sorted(sessions, key=lambda one: one.config.exploration.explorer != "ergodic"):
         explorer = session.config.exploration.explorer
@@ -57,35 +71,38 @@ def _columns(sessions: Sequence[Session]) -> Dict[str, List[Session]]:
 
 
 def _draw_active_units(axes: Axes, sessions: Sequence[Session]) -> None:
+    """Number of active latents."""
     for index, session in enumerate(sessions):
         table = session.read_table("training")
         axes.plot(table["update"], table["active_units"], color=colour(index), linewidth=1.0, label=_seed(session))
     axes.set_ylim(-0.5, sessions[0].config.model.latent_size + 0.5)
-    quiet(axes)
+    style_axes(axes)
     label(axes, "model update", "active units")
     if len(sessions) > 1:
         axes.legend(fontsize=SMALL, frameon=False, loc="lower right", ncols=min(len(sessions), 3))
 
 
 def _draw_ergodic_measure(axes: Axes, sessions: Sequence[Session]) -> None:
+    """KL divergence between target and time-averaged distribution."""
     for index, session in enumerate(sessions):
         table = session.read_table("exploration")
         axes.plot(table["step"], _positive(table["ergodic_measure"]), color=colour(index), linewidth=0.8)
     axes.set_yscale("log")
-    quiet(axes)
+    style_axes(axes)
     label(axes, "exploration step", "KL-ergodic\nmeasure [nat]")
 
 
 def _draw_loss(axes: Axes, sessions: Sequence[Session]) -> None:
+    """Smoothed loss."""
     for index, session in enumerate(sessions):
         table = session.read_table("training")
         axes.plot(table["update"], _smooth(table["loss"]), color=colour(index), linewidth=1.0)
-    quiet(axes)
+    style_axes(axes)
     label(axes, "model update", "loss per pixel [nat]")
 
 
 def _draw_weights(axes: Axes, sessions: Sequence[Session]) -> None:
-    """Beta and gamma share colours with their seeds, and differ in the dashes."""
+    """Beta (solid) and gamma (dashed), in the colours of the seeds."""
     for index, session in enumerate(sessions):
         table = session.read_table("training")
         for name, dashes in (("beta", "-"), ("gamma", (0, (4, 2)))):
@@ -95,27 +112,28 @@ def _draw_weights(axes: Axes, sessions: Sequence[Session]) -> None:
         axes.plot([], [], color=GREY, linestyle=dashes, linewidth=1.0, label=name)
     axes.set_yscale("log")
     axes.legend(fontsize=SMALL, frameon=False, loc="center right", ncols=2)
-    quiet(axes)
+    style_axes(axes)
     label(axes, "model update", "weights of\nthe loss")
 
 
-def _draw_workspace(axes: Axes, session: Session, seen: Seen) -> None:
-    """The table as a session saw it, with its path."""
-    draw_top_view(axes, seen.table)
-    draw_path(axes, seen.observations.raw_states, session.config.workspace.box())
+def _draw_workspace(axes: Axes, session: Session, images: SessionImages) -> None:
+    """Table from above and path of the camera."""
+    draw_top_view(axes, images.table)
+    draw_path(axes, images.observations.raw_states, session.config.workspace.box())
 
 
 def _seed(session: Session) -> str:
+    """Label of a line."""
     return f"seed {session.config.exploration.seed}"
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
-    """What a logarithmic axis can show; the rest becomes a gap."""
+    """Replace values that a logarithmic axis cannot show by gaps."""
     return np.where(values > 0, values, np.nan)
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
-    """Running mean over a hundredth of the values, as long as they are."""
+    """Running mean over a hundredth of the values, of the same length."""
     width = max(1, len(values) // 100)
     if width == 1:
         return values

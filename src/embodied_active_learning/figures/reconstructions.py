@@ -1,4 +1,4 @@
-"""What the latents carry: images decoded from their own latent, from another's, and from none."""
+"""Reconstructions of images from their own latent, another image's latent, and no latent."""
 
 from __future__ import annotations
 
@@ -8,21 +8,24 @@ from typing import List, Sequence, Tuple
 import cv2
 import numpy as np
 
-from embodied_active_learning.figures.style import MEDIUM, SMALL, new_figure, save
-from embodied_active_learning.figures.views import draw_image
+from embodied_active_learning.figures.style import MEDIUM, SMALL, default_style, new_figure, save, set_padding
+from embodied_active_learning.figures.workspace_axes import draw_image
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.session.observations import Observations
 
 _COLUMNS = 8
-_THUMBNAIL = (6, 6)
-_LEAST_CONTRAST = 0.1  # of the largest contrast: where objects are rare, the better half still holds bare table
-_AXIS_WEIGHTS = (1.0, 1.0, 0.3)  # of x, y and theta when places are told apart: turning shows the same object again
+_THUMBNAIL = (6, 6)  # px
+_LEAST_CONTRAST = 0.1
+"""Share of the largest contrast that an image of an object needs; if objects are rare, half the images are too many."""
+_STATE_WEIGHTS = (1.0, 1.0, 0.3)
+"""Weights of x, y and theta in the distance between images: a rotated camera shows the same object."""
 
 
-def draw_reconstructions(path: Path, model: TrainedModel, seen: Observations, columns: int = _COLUMNS) -> Path:
-    """Rows: observed, own latent, shuffled latent, no latent; columns: observations of all objects, and a blank."""
-    chosen = spread_of_images(seen.images, seen.states, columns)
-    states, images = seen.raw_states[chosen], seen.images[chosen]
+@default_style
+def draw_reconstructions(path: Path, model: TrainedModel, observations: Observations, columns: int = _COLUMNS) -> Path:
+    """Draw images of all objects and of the table, and their reconstructions from own, shuffled and no latent."""
+    chosen = select_images(observations.images, observations.states, columns)
+    states, images = observations.raw_states[chosen], observations.images[chosen]
     latents, _ = model.encode(states, images)
     sources = {
         "own latent": latents,
@@ -31,7 +34,7 @@ def draw_reconstructions(path: Path, model: TrainedModel, seen: Observations, co
     }
     figure = new_figure(0.8 + 1.15 * len(chosen), 5.7)
     grid = figure.subplots(1 + len(sources), len(chosen), squeeze=False)
-    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.03, wspace=0.02, hspace=0.02)
+    set_padding(figure, w_pad=0.02, h_pad=0.03, wspace=0.02, hspace=0.02)
     _draw_row(grid[0], "observed", images, [""] * len(chosen))
     for axes, (x, y, theta) in zip(grid[0], states):
         axes.set_title(f"x {x:.2f} m\ny {y:+.2f} m\n$\\theta$ {theta:+.2f} rad", fontsize=SMALL)
@@ -41,39 +44,46 @@ def draw_reconstructions(path: Path, model: TrainedModel, seen: Observations, co
     return save(figure, path)
 
 
-def spread_of_images(images: np.ndarray, states: np.ndarray, count: int) -> np.ndarray:
-    """Indices of at most `count` observations in order of time: one that shows little, the others much, far apart.
+def select_images(images: np.ndarray, states: np.ndarray, count: int) -> np.ndarray:
+    """Return the indices of at most `count` images in order of time: one of the bare table, the others of objects.
 
-    images: (N, H, W, 3) uint8; states: (N, 3) normalised. By place rather than by likeness of the images: an object of
-    little contrast would never be the least alike.
+    Images of objects are selected far apart by state, not by difference of images: an object with low contrast would
+    never be selected.
+
+    Args:
+        images: (N, H, W, 3) uint8.
+        states: (N, 3) normalised states.
+        count: Largest number of images.
     """
     contrast = _contrast(images)
     order = np.argsort(contrast)
-    striking = order[len(order) // 2 :]
-    striking = striking[contrast[striking] >= _LEAST_CONTRAST * contrast.max()]
-    places = states[striking] * _AXIS_WEIGHTS
-    chosen = [len(striking) - 1]
-    nearest = np.full(len(striking), np.inf)
-    while len(chosen) < min(count - 1, len(striking)):
+    objects = order[len(order) // 2 :]
+    objects = objects[contrast[objects] >= _LEAST_CONTRAST * contrast.max()]
+    places = states[objects] * _STATE_WEIGHTS
+    chosen = [len(objects) - 1]
+    nearest = np.full(len(objects), np.inf)
+    while len(chosen) < min(count - 1, len(objects)):
         nearest = np.minimum(nearest, np.square(places - places[chosen[-1]]).sum(axis=1))
         chosen.append(int(nearest.argmax()))
-    return np.unique([order[0], *striking[chosen]])
+    return np.unique([order[0], *objects[chosen]])
 
 
 def _contrast(images: np.ndarray) -> np.ndarray:
-    """(N,) how much each image (N, H, W, 3) differs from what is mostly seen: the bare table."""
+    """Difference (N,) of each image (N, H, W, 3) from the median image, the bare table."""
     thumbnails = (cv2.resize(image, _THUMBNAIL, interpolation=cv2.INTER_AREA) for image in images)
-    # Colours as the eye tells them apart: in RGB a yellow object is nearly a bright table.
+    # CIELAB, because a yellow object is close to a bright table in RGB.
     features = np.stack([cv2.cvtColor(thumbnail, cv2.COLOR_RGB2LAB) for thumbnail in thumbnails]).astype(np.float32)
     return np.square(features - np.median(features, axis=0)).sum(axis=(1, 2, 3))
 
 
 def _predict(model: TrainedModel, latents: np.ndarray, states: np.ndarray) -> Tuple[np.ndarray, List[str]]:
+    """Decoded images and captions with the predicted standard deviation."""
     means, stds = model.decode(latents, states)
     return means, [rf"$\sigma$ {std:.3f}" for std in stds]
 
 
 def _draw_row(row: np.ndarray, name: str, images: np.ndarray, captions: Sequence[str]) -> None:
+    """Draw one row of images."""
     for axes, image, caption in zip(row, images, captions):
         draw_image(axes, image, caption)
     row[0].set_ylabel(name, fontsize=MEDIUM, rotation=0, ha="right", va="center", labelpad=6)

@@ -1,42 +1,70 @@
-"""How all figures look: colours that colour-blind readers can tell apart, quiet axes, one way to the file."""
+"""Style shared by all figures: colour-blind safe palette, sizes, plain axes, and writing to a file."""
 
 from __future__ import annotations
 
+import functools
 import io
 from pathlib import Path
+from typing import Any, Callable, Dict, TypeVar
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from embodied_active_learning.session.atomic import make_folder, write_bytes
 
-# Okabe and Ito's palette, in an order in which neighbours differ in lightness too.
+# Palette of Okabe and Ito, in an order in which neighbours also differ in lightness.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MAP_COLOURS = "viridis"
 GREY = "#666666"
 UNSEEN = "#EDEDED"
+"""Background of parts of the table without an image."""
 SMALL = 8
 MEDIUM = 9
 LARGE = 11
 _DOTS_PER_INCH = 160
-_COMPRESSION = 4  # of 9: a twentieth larger than by the usual 6, in half the time
+_COMPRESSION = 4
+"""PNG compression level: files are 5 % larger than at the default of 6, and written in half the time."""
+
+_Draw = TypeVar("_Draw", bound=Callable[..., Any])
 
 
-def new_figure(width: float, height: float, arranged: bool = True) -> Figure:
-    """An empty figure of a size in inches. Not pyplot's, so that any thread may draw and none leaks.
+def default_style(draw: _Draw) -> _Draw:
+    """Decorate a function to run with Matplotlib's default settings instead of the user's matplotlibrc."""
 
-    arranged: matplotlib finds the places of all axes; else they stay where they are put.
+    @functools.wraps(draw)
+    def wrapper(*arguments: Any, **options: Any) -> Any:
+        with matplotlib.rc_context():
+            matplotlib.rcdefaults()
+            return draw(*arguments, **options)
+
+    return wrapper  # type: ignore[return-value]
+
+
+def new_figure(width: float, height: float, constrained: bool = True) -> Figure:
+    """Return an empty figure.
+
+    Args:
+        width: Width in inches.
+        height: Height in inches.
+        constrained: Whether Matplotlib arranges the axes; otherwise use `place`.
     """
-    if not arranged:
-        return Figure(figsize=(width, height))
-    figure = Figure(figsize=(width, height), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    if constrained:
+        set_padding(figure, w_pad=0.06, h_pad=0.06)
     return figure
 
 
+def set_padding(figure: Figure, **padding: float) -> None:
+    """Arrange the axes of a figure with a padding in inches (`w_pad`, `h_pad`) and in parts (`wspace`, `hspace`)."""
+    figure.set_layout_engine("constrained", **padding)
+
+
 def place(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """New axes in a figure that is not arranged, inches from its upper left corner; a picture stays in theirs."""
+    """Add axes at a position in inches from the upper left corner of a figure; images are anchored there."""
     wide, high = figure.get_size_inches()
     axes = figure.add_axes((left / wide, 1.0 - (top + height) / high, width / wide, height / high))
     axes.set_anchor("NW")
@@ -44,18 +72,18 @@ def place(figure: Figure, left: float, top: float, width: float, height: float) 
 
 
 def write(figure: Figure, left: float, top: float, text: str, size: float, weight: str = "normal") -> None:
-    """Write into a figure that is not arranged, downwards from a place in inches from its upper left corner."""
+    """Write text below and to the right of a position in inches from the upper left corner of a figure."""
     wide, high = figure.get_size_inches()
     figure.text(left / wide, 1.0 - top / high, text, fontsize=size, weight=weight, va="top")
 
 
 def colour(index: int) -> str:
-    """The colour of the line number `index`."""
+    """Return the colour of a line by its index."""
     return COLOURS[index % len(COLOURS)]
 
 
-def quiet(axes: Axes) -> None:
-    """Only the two lines that carry the ticks, and a faint grid."""
+def style_axes(axes: Axes) -> None:
+    """Remove the upper and right spine and add a faint grid."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=SMALL)
     axes.grid(color="#E0E0E0", linewidth=0.5)
@@ -64,23 +92,24 @@ def quiet(axes: Axes) -> None:
 
 
 def label(axes: Axes, x: str = "", y: str = "", title: str = "") -> None:
-    """Axis labels with their units, and a title."""
+    """Set the axis labels, with their units, and a title."""
     axes.set_xlabel(x, fontsize=SMALL)
     axes.set_ylabel(y, fontsize=SMALL)
     if title:
         axes.set_title(title, fontsize=MEDIUM)
 
 
-def spread(count: int, most: int) -> np.ndarray:
-    """At most so many of the indices below count, evenly spread."""
+def spread_indices(count: int, most: int) -> np.ndarray:
+    """Return at most `most` evenly spread indices below `count`."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write the figure as PNG, atomically, creating its folder. -> path."""
+    """Write a figure atomically in the format of the file name, creating the folder. Return the path."""
     path = Path(path)
     make_folder(path.parent)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=_DOTS_PER_INCH, pil_kwargs={"compress_level": _COMPRESSION})
-    write_bytes(path, picture.getvalue())
+    stream = io.BytesIO()
+    options: Dict[str, Any] = {"pil_kwargs": {"compress_level": _COMPRESSION}} if path.suffix == ".png" else {}
+    figure.savefig(stream, format=path.suffix[1:], dpi=_DOTS_PER_INCH, **options)
+    write_bytes(path, stream.getvalue())
     return path

@@ -137,7 +137,7 @@ def _check_array(subject: str, array: Any, dtype: np.dtype, shape: Tuple[Any, ..
 
 def _check_fits(fingerprint: Fingerprint, config: Config) -> None:
     """Check the sizes of images and latents against the configuration."""
-    _, height, width, _ = np.shape(fingerprint.images)
+    height, width = len(fingerprint.images[0]), len(fingerprint.images[0][0])
     if (height, width) != (config.camera.height, config.camera.width):
         raise ObservationError(
             f"{fingerprint.name}: images are {width} x {height} px but camera/width and camera/height are "

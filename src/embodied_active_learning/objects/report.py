@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from dataclasses import dataclass, field
+from typing import Dict, List, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
@@ -13,12 +14,36 @@ from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
 
 SAME_PLACE = 0.03
 """Distance [m] within which a decision, or a fingerprint's centre, belongs to an object."""
-NOT_AN_OBJECT = "bare table"
 
-Kinds = Dict[Tuple[str, str], str]
-"""True kind of each fingerprint: (session, name) -> kind of object, BLANK, or "" if unknown."""
+_COLUMNS = ("fingerprint", "kind", "found", "x [m]", "y [m]", "confidence", "error [cm]", "reason")
 
-_COLUMNS = ("fingerprint", "kind", "found", "x [m]", "y [m]", "confidence", "truth", "error [cm]", "reason")
+
+@dataclass(frozen=True)
+class Truth:
+    """The true scene, for comparison only; empty where it is not known, as on hardware.
+
+    Attributes:
+        objects: The true objects.
+        kinds: True kind of each known fingerprint by (session, name): kind of object, BLANK, or "" for no object.
+    """
+
+    objects: Sequence[Location] = ()
+    kinds: Dict[Tuple[str, str], str] = field(default_factory=dict)
+
+    def is_false_claim(self, decision: Decision) -> bool:
+        """Return whether a decision claims an object where none of its kind stands, or a blank where an object stands.
+
+        Claims of a fingerprint whose kind is not known are not judged; those of a fingerprint of no object are false.
+        """
+        kind = self.kinds.get((decision.session, decision.fingerprint))
+        if not decision.found or kind is None:
+            return False
+        if kind == BLANK:
+            return nearest(decision.pose, self.objects)[1] <= SAME_PLACE
+        return nearest(decision.pose, [item for item in self.objects if item[0] == kind])[1] > SAME_PLACE
+
+
+UNKNOWN = Truth()
 
 
 class Score(NamedTuple):
@@ -53,27 +78,13 @@ def true_kinds(found: FingerprintSet, objects: Sequence[Location]) -> Dict[str, 
     return kinds
 
 
-def is_false_claim(decision: Decision, kinds: Kinds, objects: Sequence[Location]) -> bool:
-    """Return whether a decision claims an object where none of its kind stands, or a blank where an object stands.
-
-    Decisions about fingerprints that are not in `kinds` are not judged. A fingerprint of no object (kind "") can only
-    make false claims.
-    """
-    kind = kinds.get((decision.session, decision.fingerprint))
-    if not decision.found or kind is None:
-        return False
-    if kind == BLANK:
-        return nearest(decision.pose, objects)[1] <= SAME_PLACE
-    return nearest(decision.pose, [item for item in objects if item[0] == kind])[1] > SAME_PLACE
-
-
-def score(decisions: Sequence[Decision], kinds: Kinds, objects: Sequence[Location]) -> Score:
+def score(decisions: Sequence[Decision], truth: Truth) -> Score:
     """Compare decisions with the true objects."""
     hits, instances, errors, false_claims = 0, 0, [], 0
-    for (session, fingerprint), kind in kinds.items():
+    for (session, fingerprint), kind in truth.kinds.items():
         claims = [item for item in decisions_about(decisions, session, fingerprint) if item.found]
-        false_claims += sum(is_false_claim(claim, kinds, objects) for claim in claims)
-        for _, x, y in [item for item in objects if item[0] == kind]:
+        false_claims += sum(map(truth.is_false_claim, claims))
+        for _, x, y in [item for item in truth.objects if item[0] == kind]:
             distance = min((math.hypot(c.pose[0] - x, c.pose[1] - y) for c in claims), default=math.inf)
             instances += 1
             if distance <= SAME_PLACE:
@@ -82,44 +93,48 @@ def score(decisions: Sequence[Decision], kinds: Kinds, objects: Sequence[Locatio
     return Score(hits, instances, errors, false_claims)
 
 
-def decision_table(
-    decisions: Sequence[Decision], kinds: Optional[Kinds] = None, objects: Sequence[Location] = ()
-) -> str:
-    """Format decisions as a table with one line each.
-
-    Args:
-        decisions: What to show.
-        kinds: True kinds of the fingerprints, where they are known.
-        objects: The true objects, where they are known.
-    """
-    rows = [_COLUMNS, *(_row(decision, kinds or {}, objects) for decision in decisions)]
+def decision_table(decisions: Sequence[Decision], truth: Truth = UNKNOWN) -> str:
+    """Format decisions as a table with one line each; false claims are marked where the truth is known."""
+    rows = [_COLUMNS, *(_row(decision, truth) for decision in decisions)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip() for row in rows]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
 
 
-def _row(decision: Decision, kinds: Kinds, objects: Sequence[Location]) -> Tuple[str, ...]:
+def _row(decision: Decision, truth: Truth) -> Tuple[str, ...]:
     """Cells of one decision."""
-    kind = kinds.get((decision.session, decision.fingerprint), "")
-    truth, error = _truth(decision, objects)
     place = [f"{value:.3f}" for value in decision.pose[:2]] if decision.found else ["-", "-"]
     return (
         f"{decision.session}/{decision.fingerprint}",
-        kind or "?",
-        f"yes, no. {decision.instance}" if decision.found else "no",
+        truth.kinds.get((decision.session, decision.fingerprint), "") or "?",
+        _outcome(decision, truth),
         *place,
         f"{decision.confidence:.2f}",
-        truth,
-        error,
+        _error(decision, truth),
         decision.reason,
     )
 
 
-def _truth(decision: Decision, objects: Sequence[Location]) -> Tuple[str, str]:
-    """What is at a claimed place, and the location error [cm]."""
-    if not objects or not decision.found:
-        return "-", "-"
-    kind, distance = nearest(decision.pose, objects)
+def _outcome(decision: Decision, truth: Truth) -> str:
+    """Whether the object was found, and what really is at the place of a false claim."""
+    if not decision.found:
+        return "no"
+    if truth.is_false_claim(decision):
+        return f"claimed, but really: {_at(decision.pose, truth.objects)}"
+    return f"yes, no. {decision.instance}"
+
+
+def _at(pose: np.ndarray, objects: Sequence[Location]) -> str:
+    """What is at a place of the table."""
+    kind, distance = nearest(pose, objects)
     if distance > SAME_PLACE:
-        return NOT_AN_OBJECT if distance > 2.0 * SAME_PLACE else f"beside {kind}", "-"
-    return kind, f"{100.0 * distance:.1f}"
+        return "bare table" if distance > 2.0 * SAME_PLACE else f"beside {kind}"
+    return kind
+
+
+def _error(decision: Decision, truth: Truth) -> str:
+    """Location error [cm] of a claim that is not false."""
+    if not decision.found or truth.is_false_claim(decision):
+        return "-"
+    _, distance = nearest(decision.pose, truth.objects)
+    return f"{100.0 * distance:.1f}" if distance <= SAME_PLACE else "-"

@@ -1,32 +1,44 @@
-"""What really stands on a simulated table: for pictures and tables, never for what the system decides."""
+"""The true scene of a simulation, for figures and tables only; decisions never use it."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import FingerprintSet
-from embodied_active_learning.objects.report import true_kinds
+from embodied_active_learning.objects.report import Truth, true_kinds
 from embodied_active_learning.simulation.world import load_world
 
 
 def true_objects(config: Config) -> List[Location]:
-    """The objects of the configured world; none where there is no such world, or the table is not simulated."""
+    """Return the objects of the configured world; empty if they are not known (see true_scene)."""
+    return _known_objects(config) or []
+
+
+def true_scene(config: Config, sets: Sequence[FingerprintSet] = ()) -> Truth:
+    """Return the true objects of the configured world, and the true kinds of fingerprints learned in simulation.
+
+    Nothing is known on hardware, or if the world's file cannot be loaded.
+    """
+    objects = _known_objects(config)
+    if objects is None:
+        return Truth()
+    kinds: Dict[Tuple[str, str], str] = {}
+    for item in sets:
+        learned_from = _known_objects(item.config)
+        if learned_from is not None:
+            kinds.update({(item.session, name): kind for name, kind in true_kinds(item, learned_from).items()})
+    return Truth(objects, kinds)
+
+
+def _known_objects(config: Config) -> Optional[List[Location]]:
+    """Objects of the configured world, or None if they are not known."""
     if config.arm.robot != SIMULATED:
-        return []
+        return None
     try:
         world = load_world(config.simulation.world, config.workspace.box())
     except WorldError:
-        return []
+        return None
     return [(item.kind, float(item.position[0]), float(item.position[1])) for item in world.objects]
-
-
-def fingerprint_kinds(sets: Sequence[FingerprintSet]) -> Dict[Tuple[str, str], str]:
-    """What each (session, fingerprint) is really of, by the worlds that the sessions have learned: see true_kinds."""
-    return {
-        (found.session, name): kind
-        for found in sets
-        for name, kind in true_kinds(found, true_objects(found.config)).items()
-    }

@@ -1,4 +1,4 @@
-"""The figures of learned objects: marks stand where things are, and every text can be read, however much there is."""
+"""Figures of fingerprints and identifications: positions of markers, and readable text."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.figures.beliefs import BeliefPanel, beliefs_figure, draw_beliefs
-from embodied_active_learning.figures.fingerprints import draw_fingerprints, fingerprints_figure
-from embodied_active_learning.figures.mosaic import top_view
-from embodied_active_learning.figures.trace import NEXT_TO, draw_trace, trace_figure
+from embodied_active_learning.figures.belief_maps import BeliefPanel, beliefs_figure, draw_beliefs
+from embodied_active_learning.figures.fingerprint_sheet import draw_fingerprints, fingerprints_figure
+from embodied_active_learning.figures.measurement_trace import NEAR_DECISION, Trace, draw_trace, trace_figure
+from embodied_active_learning.figures.top_view import compose_top_view
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matches
+from embodied_active_learning.objects.report import Truth
 
 CONFIG = Config.from_dict({"camera": {"width": 24, "height": 20}, "model": {"latent_size": 2}})
 WORKSPACE = CONFIG.workspace.box()
 OBJECTS = (("plant_of_some_size", 0.54, 0.09), ("duck", 0.39, -0.10))
-LONG = "a-session-with-a-name-that-goes-on-and-on-" * 4
+TRUTH = Truth(OBJECTS, {("a", "object-1"): "duck"})
+LONG = "a-session-with-an-extremely-long-name-" * 4
 
 
 def make_images(count, seed=0):
@@ -62,7 +64,7 @@ def make_panel(decisions=(), peak=(7, 2), title="a, object-1"):
 
 
 def make_stream(count, views):
-    """States, images and what the images say, half of them near (0.5, 0.1)."""
+    """Return states, images and measurements, half of them near (0.5, 0.1)."""
     random = np.random.default_rng(count)
     states = WORKSPACE.denormalise(random.uniform(-1.0, 1.0, (count, 3)))
     states[: (count + 1) // 2, :2] = 0.5, 0.1
@@ -85,40 +87,40 @@ def assert_nothing_is_cut(figure):
     assert min(drawn.x0, drawn.y0, width - drawn.x1, height - drawn.y1) >= 0.0
 
 
-def markers(axes, filled):
-    """Where the round markers of a kind are, (x, y) each."""
+def markers(axes, filled, shape="o"):
+    """Return the positions (x, y) of filled or hollow markers."""
     found = [
-        line for line in axes.lines if line.get_marker() == "o" and (line.get_markerfacecolor() != "none") == filled
+        line for line in axes.lines if line.get_marker() == shape and (line.get_markerfacecolor() != "none") == filled
     ]
     return [(line.get_xdata()[0], line.get_ydata()[0]) for line in found]
 
 
 def titled(figure, text):
-    """The axes whose title begins with a text."""
+    """Return the axes whose title begins with a text."""
     return [axes for axes in figure.axes if any(axes.get_title(loc).startswith(text) for loc in ("left", "center"))]
 
 
 @pytest.mark.parametrize(("count", "objects"), [(1, ()), (3, OBJECTS), (8, OBJECTS)])
-def test_contact_sheet_has_a_row_for_each_fingerprint(tmp_path, recwarn, count, objects):
+def test_contact_sheet_has_row_per_fingerprint(tmp_path, recwarn, count, objects):
     kinds = [OBJECT] * (count - 1) + [BLANK]
     found = make_set([make_fingerprint(name=f"{kind}-{index}", kind=kind) for index, kind in enumerate(kinds)])
     assert_picture(draw_fingerprints(tmp_path / "new" / "sheet.png", found, objects), recwarn)
     assert len(titled(fingerprints_figure(found), "in the workspace")) == count
 
 
-def test_contact_sheet_can_be_read_whatever_the_session_is_called():
+def test_contact_sheet_fits_long_session_name():
     assert_nothing_is_cut(fingerprints_figure(make_set([make_fingerprint()], LONG[:64]), OBJECTS))
 
 
 @pytest.mark.parametrize("views", [1, 2, 19])
-def test_contact_sheet_of_few_views_is_drawn(tmp_path, recwarn, views):
+def test_contact_sheet_of_few_views(tmp_path, recwarn, views):
     found = make_set([make_fingerprint(views)])
     assert_picture(draw_fingerprints(tmp_path / "sheet.png", found), recwarn)
     captions = [axes.get_xlabel() for axes in fingerprints_figure(found).axes]
     assert any(caption.startswith(f"{min(views, 18)} of {views} views") for caption in captions)
 
 
-def test_contact_sheet_marks_centre_and_objects_on_both_maps():
+def test_contact_sheet_marks_centre_and_objects():
     fingerprint = make_fingerprint()
     figure = fingerprints_figure(make_set([fingerprint]), OBJECTS)
     (wide,), (close,) = titled(figure, "in the workspace"), titled(figure, "the dashed box")
@@ -132,25 +134,25 @@ def test_contact_sheet_marks_centre_and_objects_on_both_maps():
 
 
 @pytest.mark.parametrize(("count", "with_view"), [(1, False), (0, True), (1, True), (9, True)])
-def test_beliefs_of_few_and_of_many_fingerprints_are_drawn(tmp_path, recwarn, count, with_view):
+def test_beliefs_of_few_and_many_fingerprints(tmp_path, recwarn, count, with_view):
     states = WORKSPACE.denormalise(np.random.default_rng(0).uniform(-1.0, 1.0, (9, 3)))
-    view = top_view(make_images(9), states, CONFIG.camera, WORKSPACE) if with_view else None
+    view = compose_top_view(make_images(9), states, CONFIG.camera, WORKSPACE) if with_view else None
     panels = [make_panel([make_decision()]) for _ in range(count)]
-    assert_picture(draw_beliefs(tmp_path / "new" / "beliefs.png", WORKSPACE, panels, view, OBJECTS), recwarn)
+    assert_picture(draw_beliefs(tmp_path / "new" / "beliefs.png", WORKSPACE, panels, view, TRUTH), recwarn)
 
 
 @pytest.mark.parametrize("count", [1, 2, 21])
-def test_beliefs_can_be_read_however_many_there_are(count):
-    reason = "seen from 4 places only, 5 are needed"
+def test_belief_maps_do_not_overlap(count):
+    reason = "only 4 views, 5 required"
     decisions = [make_decision(0.62, 0.14, instance=0, reason=reason)]
     panels = [make_panel(decisions, title=f"{LONG[:64]}\nobject-1")] * count
-    figure = beliefs_figure(WORKSPACE, panels, objects=OBJECTS)
+    figure = beliefs_figure(WORKSPACE, panels, truth=TRUTH)
     assert_nothing_is_cut(figure)
     boxes = [axes.get_window_extent() for axes in figure.axes]
     assert not any(one.overlaps(other) for index, one in enumerate(boxes) for other in boxes[:index])
 
 
-def test_belief_map_is_brightest_where_the_belief_is_highest():
+def test_belief_map_is_brightest_at_peak():
     panel = make_panel(peak=(7, 2))
     axes = titled(beliefs_figure(WORKSPACE, [panel]), panel.title)[0]
     pixels = axes.images[0].get_array()
@@ -160,7 +162,7 @@ def test_belief_map_is_brightest_where_the_belief_is_highest():
     assert bottom + (row + 0.5) / pixels.shape[0] * (top - bottom) == pytest.approx(panel.y[2])
 
 
-def test_decisions_are_marked_where_they_were_made_with_number_sureness_and_yaw():
+def test_decisions_marked_with_number_confidence_and_yaw():
     found = [make_decision(0.40, 0.05, 0.0, 1), make_decision(0.55, -0.1, np.pi / 2, 2)]
     axes = titled(beliefs_figure(WORKSPACE, [make_panel(found)]), "a, object-1")[0]
     assert markers(axes, filled=True) == [(0.40, 0.05), (0.55, -0.1)]
@@ -172,7 +174,7 @@ def test_decisions_are_marked_where_they_were_made_with_number_sureness_and_yaw(
     assert [np.arctan2(y, x) for x, y in ticks] == pytest.approx([0.0, np.pi / 2])
 
 
-def test_what_was_not_found_is_marked_hollow_and_without_a_number():
+def test_rejected_candidate_is_hollow_without_number():
     figure = beliefs_figure(WORKSPACE, [make_panel([make_decision(0.40, 0.05, instance=0, reason="2 of 30")])])
     axes = titled(figure, "a, object-1")[0]
     assert (markers(axes, filled=False), markers(axes, filled=True)) == ([(0.40, 0.05)], [])
@@ -182,52 +184,53 @@ def test_what_was_not_found_is_marked_hollow_and_without_a_number():
     assert any(note.startswith("2 of 30") for note in notes)
 
 
-def test_a_blank_has_no_yaw():
+def test_blank_has_no_yaw_tick():
     axes = titled(beliefs_figure(WORKSPACE, [make_panel([make_decision(kind=BLANK)])]), "a, object-1")[0]
     assert all(len(line.get_xdata()) == 1 for line in axes.lines)
 
 
-def test_even_belief_without_decisions_is_drawn(tmp_path, recwarn):
+def test_flat_belief_without_decisions(tmp_path, recwarn):
     panel = make_panel(peak=(slice(None), slice(None)))
     assert_picture(draw_beliefs(tmp_path / "beliefs.png", WORKSPACE, [panel]), recwarn)
 
 
 @pytest.mark.parametrize(("count", "views", "decisions"), [(1, 1, 0), (3, 2, 1), (200, 30, 4), (50, 2, 6)])
-def test_trace_of_short_and_long_streams_is_drawn(tmp_path, recwarn, count, views, decisions):
+def test_trace_of_short_and_long_streams(tmp_path, recwarn, count, views, decisions):
     states, images, trace = make_stream(count, views)
     decided = [make_decision(0.5, 0.1 - 0.05 * number, instance=number) for number in range(decisions)]
     fingerprint = make_fingerprint(views)
     path = tmp_path / "new" / "trace.png"
-    draw_trace(path, "a, object-1", trace, states, images, fingerprint, 1.0, decided, OBJECTS[:decisions])
+    truth = Truth(OBJECTS[:decisions])
+    draw_trace(path, Trace("a, object-1", trace, states, images, fingerprint, 1.0, decided, truth))
     assert_picture(path, recwarn)
 
 
-def test_trace_can_be_read():
+def test_trace_text_is_not_cut():
     states, images, trace = make_stream(200, 30)
-    decided = [make_decision(instance=0, reason="seen from 4 places only, 5 are needed"), make_decision(0.4, -0.1)]
+    decided = [make_decision(instance=0, reason="only 4 views, 5 required"), make_decision(0.4, -0.1)]
     fingerprint = make_fingerprint(30, name="object-with-a-long-name")
-    assert_nothing_is_cut(trace_figure(LONG, trace, states, images, fingerprint, 1.0, decided, OBJECTS))
+    assert_nothing_is_cut(trace_figure(Trace(LONG, trace, states, images, fingerprint, 1.0, decided, TRUTH)))
 
 
-def test_trace_shows_images_from_next_to_the_decision_beside_the_view_that_won():
+def test_trace_pairs_images_with_stored_views():
     states, images, trace = make_stream(200, 30)
     fingerprint = make_fingerprint(30)
-    figure = trace_figure("a", trace, states, images, fingerprint, 1.0, [make_decision(0.5, 0.1)])
+    figure = trace_figure(Trace("a", trace, states, images, fingerprint, 1.0, [make_decision(0.5, 0.1)]))
     captions = {axes: re.match(r"image (\d+):", axes.get_xlabel()) for axes in figure.axes}
     pairs = [(int(caption.group(1)), axes) for axes, caption in captions.items() if caption]
     assert len(pairs) == 5
     for index, axes in pairs:
-        assert np.hypot(*(states[index, :2] - (0.5, 0.1))) < NEXT_TO
+        assert np.hypot(*(states[index, :2] - (0.5, 0.1))) < NEAR_DECISION
         shown = axes.images[0].get_array()
         np.testing.assert_array_equal(shown[:, :24], fingerprint.images[trace.view[index]])
         np.testing.assert_array_equal(shown[:, -24:], images[index])
 
 
-def test_trace_places_every_image_where_it_points_to_and_counts_which_view_won():
+def test_trace_shows_measured_poses_and_view_counts():
     states, images, trace = make_stream(200, 30)
-    figure = trace_figure("a", trace, states, images, make_fingerprint(30), 1.0, [make_decision(0.5, 0.1)])
+    figure = trace_figure(Trace("a", trace, states, images, make_fingerprint(30), 1.0, [make_decision(0.5, 0.1)]))
     (places,), (winners,) = (
-        titled(figure, "where each image"),
+        titled(figure, "measured object poses"),
         [axes for axes in figure.axes if axes.get_xlabel() == "stored view"],
     )
     points = places.collections[0]
@@ -237,3 +240,22 @@ def test_trace_places_every_image_where_it_points_to_and_counts_which_view_won()
     assert markers(places, filled=True) == [(0.5, 0.1)]
     heights = [bar.get_height() for bar in winners.containers[0]]
     assert heights == [(trace.view == view).sum() for view in range(30)]
+
+
+def test_false_claim_has_own_marker_and_outcome():
+    """The decision at the plant is about a fingerprint of the duck."""
+    decisions = [make_decision(0.54, 0.09, instance=1), make_decision(0.39, -0.10, instance=2)]
+    figure = beliefs_figure(WORKSPACE, [make_panel(decisions)], truth=TRUTH)
+    axes = titled(figure, "a, object-1")[0]
+    assert markers(axes, filled=True, shape="s") == [(0.54, 0.09)]
+    assert markers(axes, filled=True) == [(0.39, -0.10)]
+    assert "false: 1 of 2" in [text.get_text() for one in figure.axes for text in one.texts]
+
+
+def test_belief_maps_share_colour_scale_and_bar():
+    weak, strong = make_panel(), make_panel(title="a, object-2")
+    strong.mean[3, 3] = 0.8
+    figure = beliefs_figure(WORKSPACE, [weak, strong])
+    limits = [titled(figure, title)[0].images[0].get_clim() for title in ("a, object-1", "a, object-2")]
+    assert limits == [pytest.approx((0.0, 0.4))] * 2
+    assert any(axes.get_xlabel().startswith("belief above") for axes in figure.axes)

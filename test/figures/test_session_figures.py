@@ -1,4 +1,4 @@
-"""The figures of a session: what was on the table appears where it was, and nothing needs a display."""
+"""Figures of a learning session, and their independence of the user's Matplotlib settings."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.figures import draw_all, look_back
 from embodied_active_learning.figures.entropy_map import entropy_maps
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
-from embodied_active_learning.figures.mosaic import top_view
-from embodied_active_learning.figures.reconstructions import spread_of_images
+from embodied_active_learning.figures.reconstructions import select_images
+from embodied_active_learning.figures.session_figures import draw_session_figures
+from embodied_active_learning.figures.top_view import compose_top_view, load_session_images
 from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.session.checkpoints import save_model
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.workspace import Workspace
 
-# Discs on the table, seen by nothing but these few lines: (colour, x [m], y [m], radius [m]).
+# Discs on the table: (colour, x [m], y [m], radius [m]).
 DISCS = (((220, 30, 30), 0.39, -0.10, 0.02), ((30, 60, 220), 0.55, 0.08, 0.025))
 TABLE = (200, 200, 190)
 
 
 def photograph(state, camera):
-    """What a camera at (x, y, yaw) sees of the discs: right is x turned by yaw, up is y turned by yaw."""
+    """Render the discs from a camera at (x, y, yaw): right is x rotated by yaw, up is y rotated by yaw."""
     image = np.empty((camera.height, camera.width, 3), np.uint8)
     size = 2.0 * camera.distance * math.tan(math.radians(camera.field_of_view / 2.0)) / camera.height
     right = (np.arange(camera.width) + 0.5 - camera.width / 2.0) * size
@@ -59,7 +59,7 @@ def make_config(root, name="a", **sections):
 
 
 def make_session(root, name="a", count=60, **sections):
-    """A session as a run leaves it, but with made-up numbers and a network that learned nothing."""
+    """Return a finished session with synthetic numbers."""
     config = make_config(root, name, **sections)
     random = np.random.default_rng(config.exploration.seed)
     states = config.workspace.box().denormalise(random.uniform(-1.0, 1.0, (count, 3)))
@@ -87,7 +87,7 @@ def assert_picture(path, width):
 
 
 def middle_of(view, colour):
-    """Mean place (x, y) [m] of the pixels that are nearer to a colour than to the table."""
+    """Return the mean position (x, y) [m] of the pixels of a colour."""
     distance = np.abs(view.pixels.astype(int) - colour).sum(axis=2)
     rows, columns = np.nonzero((distance < 100) & view.seen)
     left, right, bottom, top = view.extent
@@ -96,54 +96,54 @@ def middle_of(view, colour):
 
 
 @pytest.mark.parametrize(("width", "height"), [(45, 45), (60, 40)])
-def test_mosaic_shows_each_disc_within_two_millimetres_of_where_it_lies(tmp_path, width, height):
+def test_top_view_places_objects_within_2_mm(tmp_path, width, height):
     config = make_config(tmp_path, camera={"width": width, "height": height, "field_of_view": 35.0, "distance": 0.25})
     workspace = config.workspace.box()
     states = workspace.denormalise(np.random.default_rng(0).uniform(-1, 1, (150, 3)))
     images = np.stack([photograph(state, config.camera) for state in states])
-    view = top_view(images, states, config.camera, workspace)
+    view = compose_top_view(images, states, config.camera, workspace)
     for colour, x, y, _ in DISCS:
         assert middle_of(view, colour) == pytest.approx((x, y), abs=0.002)
 
 
-def test_mosaic_marks_what_no_image_shows_as_unseen(tmp_path):
+def test_top_view_marks_unseen_pixels(tmp_path):
     config = make_config(tmp_path)
     state = np.array([0.39, -0.10, 0.0])
-    view = top_view(photograph(state, config.camera)[None], state[None], config.camera, config.workspace.box())
+    view = compose_top_view(photograph(state, config.camera)[None], state[None], config.camera, config.workspace.box())
     side = 45 * metres_per_pixel(config.camera)
     left, right, bottom, top = view.extent
     assert view.seen.mean() == pytest.approx(side**2 / ((right - left) * (top - bottom)), rel=0.1)
     assert middle_of(view, DISCS[0][0]) == pytest.approx((0.39, -0.10), abs=0.002)
 
 
-def test_mosaic_of_no_images_is_empty(tmp_path):
+def test_top_view_of_no_images_is_empty(tmp_path):
     config = make_config(tmp_path)
     images, states = np.empty((0, 45, 45, 3), np.uint8), np.empty((0, 3))
-    assert not top_view(images, states, config.camera, config.workspace.box()).seen.any()
+    assert not compose_top_view(images, states, config.camera, config.workspace.box()).seen.any()
 
 
-def test_mosaic_leaves_out_images_from_beyond_its_borders(tmp_path):
+def test_top_view_ignores_images_outside(tmp_path):
     config = make_config(tmp_path)
     state = np.array([0.39, -0.10, 0.3])
     inside = photograph(state, config.camera)
     images, states = np.stack([inside] * 5), np.tile(state, (5, 1))
     states[1:, :2] += [(3, 0), (-3, 0), (0, 3), (0, -3)]
     alone, among_others = (
-        top_view(images[:count], states[:count], config.camera, config.workspace.box()) for count in (1, 5)
+        compose_top_view(images[:count], states[:count], config.camera, config.workspace.box()) for count in (1, 5)
     )
     assert np.array_equal(alone.pixels, among_others.pixels)
     assert np.array_equal(alone.seen, among_others.seen)
 
 
-def test_pixel_at_30_degrees_from_30_cm_is_nine_tenths_of_a_millimetre():
+def test_pixel_size_at_30_degrees_and_30_cm():
     # 2 * 0.3 m * tan(15 degrees) = 160.8 mm over 180 pixels.
     assert metres_per_pixel(Config().camera) == pytest.approx(0.1608 / 180, rel=1e-3)
 
 
-def test_all_figures_of_a_finished_run_are_drawn(tmp_path):
+def test_session_figures_of_finished_run(tmp_path):
     session = make_session(tmp_path)
     save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60, "observations": 40})
-    paths = draw_all(session, [("red disc", 0.39, -0.10), ("blue disc", 0.55, 0.08)])
+    paths = draw_session_figures(session, [("red disc", 0.39, -0.10), ("blue disc", 0.55, 0.08)])
     assert [path.name for path in paths] == ["learning_metrics.png", "entropy.png", "reconstructions.png"]
     for path, width in zip(paths, (672, 1472, 1600)):
         assert path.parent == session.paths.figures
@@ -151,20 +151,21 @@ def test_all_figures_of_a_finished_run_are_drawn(tmp_path):
     assert sorted(path.name for path in session.paths.figures.iterdir()) == sorted(path.name for path in paths)
 
 
-def test_figures_are_drawn_from_what_was_read_before(tmp_path):
+def test_session_figures_use_loaded_images(tmp_path):
     session = make_session(tmp_path)
     save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60, "observations": 40})
-    seen = look_back(session)
+    images = load_session_images(session)
     shutil.rmtree(session.paths.observations)
-    assert len(draw_all(session, seen=seen)) == 3
+    assert len(draw_session_figures(session, images=images)) == 3
 
 
-def test_only_the_learning_metrics_are_drawn_before_there_is_a_model(tmp_path):
+def test_session_figures_without_model(tmp_path):
     session = make_session(tmp_path, count=2)
-    assert [path.name for path in draw_all(session)] == ["learning_metrics.png"]
+    assert [path.name for path in draw_session_figures(session)] == ["learning_metrics.png"]
 
 
-def test_learning_metrics_put_seeds_of_a_world_into_one_column_and_baselines_last(tmp_path):
+def test_learning_metrics_group_seeds_by_world(tmp_path):
+    """One column for each world and explorer; baselines come last."""
     sessions = [
         make_session(tmp_path, f"s{seed}{explorer}", 20, exploration={"seed": seed, "explorer": explorer, "steps": 20})
         for explorer in ("random_walk", "ergodic")
@@ -173,7 +174,7 @@ def test_learning_metrics_put_seeds_of_a_world_into_one_column_and_baselines_las
     assert_picture(draw_learning_metrics(tmp_path / "new" / "metrics.png", sessions), 1184)
 
 
-def test_learning_metrics_of_a_run_that_has_just_begun_are_drawn(tmp_path, recwarn):
+def test_learning_metrics_of_new_run(tmp_path, recwarn):
     session = make_session(tmp_path, count=1)
     for name in ("training", "exploration"):
         session.paths.table(name).unlink()
@@ -181,14 +182,14 @@ def test_learning_metrics_of_a_run_that_has_just_begun_are_drawn(tmp_path, recwa
     assert [str(warning.message) for warning in recwarn] == []
 
 
-def test_learning_metrics_of_nothing_are_refused(tmp_path):
+def test_learning_metrics_need_a_session(tmp_path):
     with pytest.raises(SessionError, match="give at least one session"):
         draw_learning_metrics(tmp_path / "metrics.png", [])
 
 
-def test_entropy_map_has_y_in_rows_and_x_in_columns():
+def test_entropy_map_axes():
     class Slope:
-        """A model whose log std is 1 x + 10 y + 100 yaw + the latent, in m and rad."""
+        """A model whose log std is x + 10 y + 100 yaw + latent."""
 
         def log_std(self, latents, states):
             return latents + states @ [1.0, 10.0, 100.0]
@@ -202,16 +203,16 @@ def test_entropy_map_has_y_in_rows_and_x_in_columns():
 
 
 @pytest.mark.parametrize("edge", [0.2, 0.4, 0.7])
-def test_chosen_images_show_every_object_and_the_bare_table_however_much_room_they_take(edge):
+def test_selected_images_show_every_object_and_table(edge):
     random = np.random.default_rng(0)
     states, images = random.uniform(-1, 1, (120, 3)), np.full((120, 12, 12, 3), 190, np.uint8)
     images += random.integers(0, 3, (120, 1, 1, 1), dtype=np.uint8)
     kinds = np.select([states[:, 0] < -edge, states[:, 0] > edge + 0.1], ["duck", "plant"], "table")
     for kind, colour in (("duck", (210, 200, 90)), ("plant", (20, 60, 20))):
-        for index in np.flatnonzero(kinds == kind):  # each from a little elsewhere
+        for index in np.flatnonzero(kinds == kind):  # at slightly different positions
             row, column = random.integers(0, 6, 2)
             images[index, row : row + 6, column : column + 6] = colour
-    chosen = spread_of_images(images, states, 8)
+    chosen = select_images(images, states, 8)
     assert len(chosen) == 8
     assert sorted(kinds[chosen]).count("table") == 1
     assert {"duck", "plant"} < set(kinds[chosen])
@@ -219,14 +220,35 @@ def test_chosen_images_show_every_object_and_the_bare_table_however_much_room_th
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_of_few_or_equal_images_none_is_chosen_twice(count):
+def test_selected_images_are_unique(count):
     for images in (np.zeros((count, 12, 12, 3), np.uint8), np.eye(count, 432, dtype=np.uint8).reshape(-1, 12, 12, 3)):
-        chosen = spread_of_images(images, np.zeros((count, 3)), 8)
+        chosen = select_images(images, np.zeros((count, 3)), 8)
         assert set(chosen) <= set(range(count))
         assert 1 <= len(chosen) == len(set(chosen))
 
 
-def test_drawing_leaves_pyplot_alone():
-    program = "import sys, embodied_active_learning.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+def run_python(program, **variables):
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **variables}
     subprocess.run([sys.executable, "-c", program], check=True, env=environment)
+
+
+def test_figures_do_not_import_pyplot():
+    module = "embodied_active_learning.figures.session_figures"
+    run_python(f"import sys, {module}; sys.exit('matplotlib.pyplot' in sys.modules)")
+
+
+def test_figures_ignore_user_matplotlib_settings(tmp_path):
+    """The user's matplotlibrc asks for LaTeX, which is not installed, and MPLBACKEND does not exist."""
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    program = (
+        "from embodied_active_learning.figures.style import default_style, label, new_figure, save\n"
+        "def draw(path):\n"
+        "    figure = new_figure(2, 2)\n"
+        "    label(figure.subplots(), 'x [m]')\n"
+        "    save(figure, path)\n"
+        f"default_style(draw)({str(tmp_path / 'figure.png')!r})\n"
+        "import matplotlib, os\n"
+        "assert matplotlib.rcParams['text.usetex'] and os.environ['MPLBACKEND'] == 'missing'\n"
+    )
+    run_python(program, MPLCONFIGDIR=str(tmp_path), MPLBACKEND="missing", PATH="")
+    assert cv2.imread(str(tmp_path / "figure.png")) is not None

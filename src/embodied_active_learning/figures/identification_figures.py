@@ -1,0 +1,50 @@
+"""All figures of an identification."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import List, Sequence
+
+from embodied_active_learning.figures.belief_maps import BeliefPanel, draw_beliefs
+from embodied_active_learning.figures.measurement_trace import Trace, draw_trace
+from embodied_active_learning.figures.top_view import compose_top_view
+from embodied_active_learning.objects.decision import Decision, decisions_about
+from embodied_active_learning.objects.report import UNKNOWN, Truth
+from embodied_active_learning.objects.search_target import SearchTarget
+from embodied_active_learning.pipeline.identification import IdentificationRun
+
+MOST_TRACES = 12
+"""Largest number of traces that are drawn; each takes a second."""
+
+
+def draw_identification(run: IdentificationRun, decisions: Sequence[Decision], truth: Truth = UNKNOWN) -> List[Path]:
+    """Draw the belief maps into figures/ of the session with the images, and a trace per fingerprint into the results.
+
+    Returns:
+        The paths of the figures.
+    """
+    workspace = run.config.workspace.box()
+    view = compose_top_view(run.pictures, run.states, run.config.camera, workspace)
+    panels = [_panel(target, decisions) for target in run.identification.targets]
+    paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth)]
+    for target in run.identification.targets[:MOST_TRACES]:
+        own = decisions_about(decisions, target.session, target.fingerprint.name)
+        path = run.folder / f"trace-{target.session}-{target.fingerprint.name}.png"
+        measured = (target.trace, run.states, run.pictures)
+        trace = Trace(target.label, *measured, target.fingerprint, target.threshold, own, truth)
+        paths.append(draw_trace(path, trace))
+    return paths
+
+
+def _panel(target: SearchTarget, decisions: Sequence[Decision]) -> BeliefPanel:
+    """Build the panel of one fingerprint."""
+    mean, std = target.grid.over_yaw()
+    return BeliefPanel(
+        f"{target.session}\n{target.fingerprint.name}",
+        target.fingerprint.thumbnail,
+        target.grid.x,
+        target.grid.y,
+        mean,
+        std,
+        decisions_about(decisions, target.session, target.fingerprint.name),
+    )
