@@ -9,6 +9,7 @@
 SHELL := /bin/bash
 VENV := .venv
 INTERFACES := $(wildcard msg/*.msg srv/*.srv)
+KERNELS := $(wildcard src/embodied_active_learning/model/native/*.[ch])
 
 all: build
 
@@ -19,8 +20,8 @@ $(VENV)/installed: requirements.txt tools/install.sh tools/debian-packages.txt t
 
 build: build/built
 
-# The devel space refers to the sources, so only inputs of generated files require a new build.
-build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(INTERFACES)
+# The devel space refers to the Python sources, so only messages and kernels have to be built again.
+build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(INTERFACES) $(KERNELS)
 	tools/build.sh
 	touch $@
 

@@ -10,7 +10,7 @@ cmake -S . -B build -DPYTHON_EXECUTABLE="$PWD/.venv/bin/python3" \
     -DCATKIN_ENABLE_TESTING=OFF > build/build.log 2>&1 \
     && make -C build >> build/build.log 2>&1 \
     || { cat build/build.log >&2; exit 1; }
-# Compiled now, so that the first run does not wait for it; where there is no compiler, learning runs without.
 source build/devel/setup.bash
-.venv/bin/python3 -c "from embodied_active_learning.model.native.library import load_library; print(load_library()[1])"
+.venv/bin/python3 -c \
+    "from embodied_active_learning.model.native.library import load_kernels; print(load_kernels().description)"
 echo "built: see build/build.log"

@@ -1,4 +1,4 @@
-"""Training when arithmetic fails, and when it is ended and begun again: good weights, and one result."""
+"""Training with non-finite losses, and training that is stopped and resumed: finite weights, one result."""
 
 import threading
 from contextlib import contextmanager
@@ -10,6 +10,7 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model import learner as learner_module
+from embodied_active_learning.model.checkpoint import LearnerState
 from embodied_active_learning.model.learner import ATTEMPTS
 from embodied_active_learning.pipeline.training import ROLLBACKS, TrainingRun
 from embodied_active_learning.session.checkpoints import load_model
@@ -38,7 +39,7 @@ def configured(root, **session):
 
 
 def learn(run, last):
-    """Hand over observations up to number `last` and ask, as a planner does, what each model says."""
+    """Pass observations up to number `last` to a run and query each model, as the planner does."""
     answers = {}
     for index in range(last):
         run.observe(*observation(index))
@@ -60,7 +61,7 @@ def finish(run):
 
 
 def failure(run):
-    """What training says that ends with an error."""
+    """The error that ends training."""
     with training(run) as (_, finished, errors):
         hand_over(run, range(STEPS))
         assert finished.wait(TIMEOUT)
@@ -74,46 +75,41 @@ def outcome(folder):
 
 
 class FailingLoss:
-    """The plain loss, but not a number (or with a gradient that is none) in the calls of these numbers."""
+    """A loss function whose loss or gradient is not finite in some calls."""
 
-    def __init__(self, arithmetic, calls, what="loss"):
-        self._loss = arithmetic.loss
+    def __init__(self, loss, calls, what="loss"):
+        self._compute = loss.compute_gradients
+        self.description, self.torch_threads = loss.description, loss.torch_threads
         self._calls = set(calls)
         self._what = what
         self.made = 0
 
-    def __call__(self, network, *arguments):
-        # The sum of the gradients is not what becomes of them here.
-        loss = self._loss(network, *arguments)._replace(gradient_sum=None)
+    def compute_gradients(self, network, *arguments):
+        terms = self._compute(network, *arguments)
         self.made += 1
         if self.made - 1 not in self._calls:
-            return loss
+            return terms
         if self._what == "loss":
-            return loss._replace(total=loss.total * float("nan"))
-        if loss.gradients is not None:
-            first, *others = loss.gradients
-            return loss._replace(gradients=[first * float("inf"), *others])
-        weight = next(network.parameters())
-        weight.register_hook(lambda gradient: gradient * float("inf"))
-        return loss
+            return terms._replace(total=terms.total * float("nan"))
+        first = next(network.parameters())
+        first.grad = first.grad * float("inf")
+        return terms._replace(gradient_sum=first.grad.sum())
 
 
 @pytest.fixture
 def failing(monkeypatch):
-    """Lets the losses of these calls fail in every learner that is made afterwards."""
-    choose = learner_module.choose_arithmetic
+    """Makes these calls of the loss fail in every learner that is built afterwards."""
+    choose = learner_module.choose_loss
 
     def fail(calls, what="loss"):
-        def choose_failing(network, device):
-            arithmetic = choose(network, device)
-            return arithmetic._replace(loss=FailingLoss(arithmetic, calls, what))
-
-        monkeypatch.setattr(learner_module, "choose_arithmetic", choose_failing)
+        monkeypatch.setattr(
+            learner_module, "choose_loss", lambda *arguments: FailingLoss(choose(*arguments), calls, what)
+        )
 
     return fail
 
 
-def test_a_loss_that_is_not_a_number_skips_the_batch_and_is_counted(tmp_path, failing):
+def test_nan_loss_skips_the_batch_and_is_counted(tmp_path, failing):
     failing([3, 4, 17])
     run = TrainingRun(configured(tmp_path))
     finish(run)
@@ -122,7 +118,7 @@ def test_a_loss_that_is_not_a_number_skips_the_batch_and_is_counted(tmp_path, fa
     assert all(torch.isfinite(weight).all() for weight in load_model(run.folder / "model.safetensors")[0].values())
 
 
-def test_after_several_bad_batches_in_a_row_the_last_good_weights_return_and_training_goes_on(tmp_path, failing):
+def test_repeated_nan_loss_rolls_back_and_training_continues(tmp_path, failing):
     failing(range(25, 25 + ATTEMPTS))
     run = TrainingRun(configured(tmp_path))
     finish(run)
@@ -133,23 +129,23 @@ def test_after_several_bad_batches_in_a_row_the_last_good_weights_return_and_tra
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_what_fails_behind_the_last_update_ends_training_though_nobody_hands_over_more(tmp_path):
+def test_error_after_last_update_ends_training(tmp_path):
     run = TrainingRun(configured(tmp_path))
-    take = run._learner.snapshots.take
+    refresh = run._learner.replicas.refresh
 
     def fail(weights, updates):
         if updates == 6:
             raise RuntimeError("no memory")
-        take(weights, updates)
+        refresh(weights, updates)
 
-    run._learner.snapshots.take = fail
+    run._learner.replicas.refresh = fail
     with training(run) as (_, finished, errors):
         hand_over(run, range(5))
         assert finished.wait(TIMEOUT)
     assert "no memory" in str(errors[0])
 
 
-def test_bad_batches_before_the_first_checkpoint_lead_back_to_the_beginning(tmp_path, failing):
+def test_divergence_before_first_checkpoint_restarts_training(tmp_path, failing):
     failing(range(2, 2 + ATTEMPTS))
     run = TrainingRun(configured(tmp_path))
     finish(run)
@@ -157,7 +153,7 @@ def test_bad_batches_before_the_first_checkpoint_lead_back_to_the_beginning(tmp_
     assert run.updates == 3 * STEPS
 
 
-def test_batches_after_a_rollback_are_others_than_before(tmp_path, failing):
+def test_batches_differ_after_a_rollback(tmp_path, failing):
     failing(range(25, 25 + ATTEMPTS))
     run = TrainingRun(configured(tmp_path / "disturbed"))
     finish(run)
@@ -169,19 +165,19 @@ def test_batches_after_a_rollback_are_others_than_before(tmp_path, failing):
     assert rows[0][21:] != rows[1][21:]
 
 
-def test_training_ends_with_the_reason_when_going_back_does_not_help(tmp_path, failing):
+def test_training_fails_with_reason_after_all_rollbacks(tmp_path, failing):
     failing(range(25, 10000))
     run = TrainingRun(configured(tmp_path))
     error = failure(run)
     assert "not finite" in error
-    assert f"{ROLLBACKS} times" in error
+    assert f"{ROLLBACKS} rollbacks" in error
     assert run.rollbacks == ROLLBACKS
     again = TrainingRun(configured(tmp_path, resume=True))
     assert (again.updates, again.observations) == (20, STEPS)
     again.close()
 
 
-def test_a_gradient_that_is_not_finite_leaves_the_weights_as_they_were(tmp_path, failing):
+def test_non_finite_gradient_does_not_change_weights(tmp_path, failing):
     failing(range(1000), "gradient")
     run = TrainingRun(configured(tmp_path))
     error = failure(run)
@@ -190,22 +186,22 @@ def test_a_gradient_that_is_not_finite_leaves_the_weights_as_they_were(tmp_path,
 
 
 @pytest.mark.parametrize("last", [5, 9, 13, 20])
-def test_stopping_anywhere_and_going_on_gives_the_same_answers_tables_and_weights_as_not_stopping(tmp_path, last):
+def test_resumed_run_equals_uninterrupted_run(tmp_path, last):
     whole = TrainingRun(configured(tmp_path / "whole"))
-    answers = finish(whole)
+    expected = finish(whole)
     first = TrainingRun(configured(tmp_path / "stopped"))
     with training(first):
-        said = learn(first, last)
+        answers = learn(first, last)
     again = TrainingRun(configured(tmp_path / "stopped", resume=True))
     assert again.observations == last
-    said.update(finish_from(again, last))
-    assert said == answers
+    answers.update(finish_from(again, last))
+    assert answers == expected
     assert outcome(whole.folder) == outcome(again.folder)
 
 
 @contextmanager
-def all_due_is_made(run, stop_at=None):
-    """The run with every update made that is due, or those before it was stopped at one; closed when the block ends."""
+def trained(run, stop_at=None):
+    """Train a run until all due updates are made or one is reached; closed when the block ends."""
     stop, answers = threading.Event(), threading.Event()
 
     def on_update(report):
@@ -227,7 +223,7 @@ def all_due_is_made(run, stop_at=None):
 
 
 @pytest.mark.parametrize("behind", [1, 2, 3])
-def test_a_trainer_that_was_stopped_between_two_observations_answers_with_the_model_that_is_asked_for(tmp_path, behind):
+def test_resumed_trainer_answers_with_the_requested_model(tmp_path, behind):
     count, states = 12, np.linspace(-0.1, 0.1, 12).reshape(4, 3)
     config = configured("")
     awaited = config.updates_awaited(count)
@@ -239,19 +235,19 @@ def test_a_trainer_that_was_stopped_between_two_observations_answers_with_the_mo
         return run
 
     whole = begun("whole")
-    with all_due_is_made(whole):
+    with trained(whole):
         expected = whole.log_std(states, awaited)
-    with all_due_is_made(begun("stopped"), stop_at=config.updates_due(count) - behind):
+    with trained(begun("stopped"), stop_at=config.updates_due(count) - behind):
         pass
     again = begun("stopped", resume=True)
-    with all_due_is_made(again):
+    with trained(again):
         values, *rest = again.log_std(states, awaited)
     assert rest == [awaited, True]
     np.testing.assert_array_equal(values, expected[0])
 
 
 def finish_from(run, last):
-    """Go on as a planner does: it asks again about the newest observation, which it may not have heard about."""
+    """Continue as a planner does after a restart: it repeats the newest observation."""
     answers = {}
     with training(run) as (_, finished, _):
         for index in range(last - 1, STEPS):
@@ -265,11 +261,11 @@ def finish_from(run, last):
     return answers
 
 
-def test_a_checkpoint_whose_observations_are_gone_is_not_trained_on(tmp_path):
+def test_checkpoint_without_its_observations_is_refused(tmp_path):
     run = TrainingRun(configured(tmp_path))
     finish(run)
     (run.folder / "observations" / DATA_FILE).unlink()
-    with pytest.raises(CorruptFileError, match=f"holds 0 observations, but there were {STEPS} when checkpoint_"):
+    with pytest.raises(CorruptFileError, match=rf"holds 0, but checkpoint_\d+\.safetensors was trained on {STEPS}"):
         TrainingRun(configured(tmp_path, resume=True))
 
 
@@ -278,13 +274,17 @@ def test_a_checkpoint_whose_observations_are_gone_is_not_trained_on(tmp_path):
     [
         {"generator": {"bit_generator": "PCG64"}},
         {"schedule": {"window": [1]}},
+        {"schedule": None},
+        {"schedule": "text"},
+        {"generator": []},
+        {"generator": None},
         {"updates": "many"},
         {"earlier_updates": None},
     ],
 )
-def test_counters_that_are_none_are_refused_by_name(tmp_path, damage):
+def test_invalid_counters_are_refused(tmp_path, damage):
     run = TrainingRun(configured(tmp_path))
     finish(run)
-    tensors, counters = run._learner.state()
-    with pytest.raises(CorruptFileError, match="checkpoint has counters that cannot be used"):
-        run._learner.restore(tensors, {**counters, **damage})
+    tensors, counters = run._learner.state_dict()
+    with pytest.raises(CorruptFileError, match="invalid counters in the checkpoint"):
+        run._learner.load_state_dict(LearnerState(tensors, {**counters, **damage}))

@@ -1,4 +1,4 @@
-"""The network: the paper's sizes at any image size, and shortcuts that give what the long way gives."""
+"""The network: sizes of Paper, Table 2, at any image size; shortcuts equal the full computation."""
 
 import pytest
 import torch
@@ -24,24 +24,24 @@ def random_images(number, image_size=SMALL):
     return torch.randint(0, 256, (number, *image_size, 3), dtype=torch.uint8)
 
 
-def test_the_network_has_the_papers_number_of_parameters_in_each_part():
+def test_network_has_the_papers_number_of_parameters():
     network = build((180, 180))
     parts = (network.image_encoder, network.encoder, network.decoder, network.image_decoder)
     assert [count(part) for part in parts] == [6210, 2148640, 2148177, 6193]
     assert count(network) == 4309220
 
 
-def test_the_geometry_of_the_paper_goes_from_180_to_14_pixels():
+def test_paper_geometry_reduces_180_to_14_pixels():
     assert convolution_sizes((180, 180), ModelConfig()) == [(180, 180), (89, 89), (44, 44), (14, 14)]
 
 
-def test_a_network_for_small_images_has_fewer_parameters():
+def test_network_for_small_images_has_fewer_parameters():
     assert count(build()) == 373220
 
 
 @pytest.mark.parametrize("image_size", [(45, 45), (48, 64), (61, 44), (50, 47)])
 @pytest.mark.parametrize("state_size", [1, 3, 6])
-def test_images_of_any_size_come_back_in_their_own_size(image_size, state_size):
+def test_decoded_images_have_the_input_size(image_size, state_size):
     network = build(image_size, state_size)
     states = torch.zeros(2, state_size)
     latent = network.encode(states, random_images(2, image_size))
@@ -51,7 +51,7 @@ def test_images_of_any_size_come_back_in_their_own_size(image_size, state_size):
     assert log_std.shape == (2,)
 
 
-def test_an_image_too_small_for_the_convolutions_is_refused_by_size():
+def test_image_too_small_for_convolutions_is_refused():
     with pytest.raises(ConfigError, match=r"20 x 200.*convolution 3.*kernel is 5"):
         build((20, 200))
 
@@ -67,7 +67,7 @@ def test_both_heads_are_clamped_to_their_limits():
     assert log_std.item() == -10.0
 
 
-def test_the_latent_head_is_a_log_variance():
+def test_latent_head_is_a_log_variance():
     network = build()
     with torch.no_grad():
         network.encoder[-1].weight.zero_()
@@ -77,7 +77,7 @@ def test_the_latent_head_is_a_log_variance():
 
 
 @pytest.mark.parametrize("hidden_sizes", [(512, 256), (32,)])
-def test_log_std_alone_equals_the_first_output_of_the_whole_decoder(hidden_sizes):
+def test_log_std_equals_first_decoder_output(hidden_sizes):
     network = build(hidden_sizes=hidden_sizes)
     latent, states = torch.randn(16), torch.rand(50, 3)
     whole, _ = network.decode_features(latent.expand(50, 16), states)
@@ -85,7 +85,7 @@ def test_log_std_alone_equals_the_first_output_of_the_whole_decoder(hidden_sizes
     assert torch.allclose(network.log_std(latent.expand(50, 16), states), whole, atol=1e-6)
 
 
-def test_one_image_against_many_states_equals_the_image_repeated():
+def test_shared_image_equals_repeated_image():
     network = build()
     image, states = random_images(1), torch.rand(7, 3)
     shared = network.encode_features(states, network.image_features(image))
@@ -94,7 +94,7 @@ def test_one_image_against_many_states_equals_the_image_repeated():
     assert torch.allclose(shared.log_variance, repeated.log_variance, atol=1e-6)
 
 
-def test_own_initialisation_draws_from_the_bounds_of_pytorchs():
+def test_initialisation_has_pytorchs_bounds():
     network = build()
     bounds = [parameter.abs().max().item() for parameter in network.parameters()]
     initialise(network, torch.Generator().manual_seed(1))
@@ -103,7 +103,7 @@ def test_own_initialisation_draws_from_the_bounds_of_pytorchs():
             assert parameter.abs().max().item() == pytest.approx(bound, rel=0.02)
 
 
-def test_initialisation_repeats_with_its_seed_and_leaves_the_global_generator_alone():
+def test_initialisation_uses_only_its_generator():
     before = torch.random.get_rng_state()
     layers = [nn.Linear(5, 4, device="meta").to_empty(device="cpu") for _ in range(2)]
     for layer in layers:

@@ -1,4 +1,4 @@
-"""The learner: repeatable, resumable, never ahead of its data, and answering questions while it learns."""
+"""The learner: reproducible, resumable, and answering queries while it trains."""
 
 import json
 import threading
@@ -9,9 +9,11 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError
-from embodied_active_learning.model.build import choose_arithmetic, choose_device
+from embodied_active_learning.model import build
+from embodied_active_learning.model.build import choose_device, choose_loss
+from embodied_active_learning.model.checkpoint import LearnerState
 from embodied_active_learning.model.learner import DivergenceError, Learner
-from embodied_active_learning.model.objective import plain_loss
+from embodied_active_learning.model.objective import PlainLoss
 
 SMALL = {
     "camera": {"width": 45, "height": 45},
@@ -22,7 +24,7 @@ SMALL = {
 
 
 class GrowingStore:
-    """Observations in memory whose arrays move with every one that is added."""
+    """Observations in memory; every access copies the arrays, as when the store has grown."""
 
     def __init__(self, count, image_size=(45, 45)):
         random = np.random.default_rng(5)
@@ -53,7 +55,7 @@ def weights(learner):
     return torch.cat([parameter.detach().flatten() for parameter in learner.network.parameters()])
 
 
-def test_an_update_reports_the_loss_with_its_terms():
+def test_update_reports_loss_and_terms():
     report = make().update()
     expected = report.reconstruction + report.beta * report.kl + report.gamma * report.conditional_reconstruction
     assert report.loss == pytest.approx(expected, rel=1e-5)
@@ -64,7 +66,7 @@ def test_an_update_reports_the_loss_with_its_terms():
     assert 0 <= report.active_units <= 16
 
 
-def test_the_decoder_starts_at_the_mean_colour_of_the_observations_unless_it_shall_start_black():
+def test_decoder_starts_at_mean_colour_or_black():
     at_mean, black = make(), make(training={"start_at_mean_colour": False})
     for learner in (at_mean, black):
         learner.update()
@@ -79,7 +81,7 @@ def test_training_lowers_the_loss():
     assert losses[-1] < losses[0] - 0.3
 
 
-def test_one_seed_gives_one_result_and_another_seed_another():
+def test_result_depends_on_seed_only():
     first, second, other = make(), make(), make(seed=1)
     for learner in (first, second, other):
         for _ in range(4):
@@ -88,7 +90,7 @@ def test_one_seed_gives_one_result_and_another_seed_another():
     assert not torch.equal(weights(first), weights(other))
 
 
-def test_learning_neither_reads_nor_moves_global_random_generators():
+def test_training_does_not_use_global_random_generators():
     torch.manual_seed(1)
     np.random.seed(1)  # noqa: NPY002
     before = torch.random.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
@@ -99,67 +101,65 @@ def test_learning_neither_reads_nor_moves_global_random_generators():
     assert np.array_equal(before[1], np.random.get_state()[1])  # noqa: NPY002
 
 
-def test_saved_and_restored_training_goes_on_bit_for_bit():
+def test_resumed_training_is_bit_identical():
     straight, broken = make(), make()
     for _ in range(3):
         straight.update()
         broken.update()
-    tensors, counters = broken.state()
+    tensors, counters = broken.state_dict()
     resumed = make(seed=9)
-    resumed.restore(tensors, json.loads(json.dumps(counters)))
+    resumed.load_state_dict(LearnerState(tensors, json.loads(json.dumps(counters))))
     for _ in range(3):
         assert straight.update() == resumed.update()
     assert torch.equal(weights(straight), weights(resumed))
-    for one, other in zip(straight.state()[0].values(), resumed.state()[0].values()):
+    for one, other in zip(straight.state_dict().tensors.values(), resumed.state_dict().tensors.values()):
         assert torch.equal(one, other)
 
 
-def test_a_learner_that_has_not_begun_can_be_saved_and_restored():
+def test_untrained_learner_can_be_restored():
     first, second = make(), make(seed=9)
-    second.restore(*first.state())
+    second.load_state_dict(first.state_dict())
     assert first.update() == second.update()
 
 
-def test_the_saved_state_is_a_copy_that_further_updates_leave_alone():
+def test_state_dict_is_a_copy():
     learner = make()
     learner.update()
-    tensors, _ = learner.state()
+    tensors, _ = learner.state_dict()
     kept = {name: tensor.clone() for name, tensor in tensors.items()}
     learner.update()
     assert all(torch.equal(tensors[name], kept[name]) for name in kept)
 
 
-def test_a_checkpoint_of_another_model_is_refused_by_the_tensors_name():
+def test_state_of_another_model_is_refused_by_tensor_name():
     learner = make(model={"latent_size": 8})
     with pytest.raises(ConfigError, match=r"network/encoder\.4\.weight"):
-        make().restore(*learner.state())
+        make().load_state_dict(learner.state_dict())
 
 
-def test_a_checkpoint_without_a_tensor_or_a_counter_is_refused_by_its_name():
+def test_incomplete_state_is_refused_by_name():
     learner = make()
-    tensors, counters = learner.state()
+    tensors, counters = learner.state_dict()
+    incomplete = {name: value for name, value in counters.items() if name != "generator"}
     with pytest.raises(CorruptFileError, match="generator"):
-        learner.restore(tensors, {name: value for name, value in counters.items() if name != "generator"})
+        learner.load_state_dict(LearnerState(tensors, incomplete))
     del tensors["adam/step"]
     with pytest.raises(CorruptFileError, match="adam/step"):
-        learner.restore(tensors, counters)
+        learner.load_state_dict(LearnerState(tensors, counters))
 
 
-def test_a_batch_holds_no_observation_twice():
+def test_batch_has_no_duplicate_observation():
     learner = make(count=8)
     read = []
 
-    def note(go_on):
-        return lambda indices: read.append(indices) or go_on(indices)
-
-    learner._reader.read = note(learner._reader.read)
-    learner._reader.read_in_place = note(learner._reader.read_in_place)
+    read_batch = learner._reader.read
+    learner._reader.read = lambda indices: read.append(indices) or read_batch(indices)
     learner.updates = 1
     learner.update()
     assert sorted(read[0][:8]) == sorted(read[0][8:]) == list(range(8))
 
 
-def test_observations_are_used_from_the_update_on_that_they_call_for():
+def test_observations_are_used_from_their_update_on():
     learner = make(count=8)
     seen = [learner.update().observations for _ in range(3)]
     learner._observations.count = 10
@@ -167,7 +167,7 @@ def test_observations_are_used_from_the_update_on_that_they_call_for():
     assert seen == [8, 8, 8, 9, 9, 9, 10, 10, 10]
 
 
-def test_the_schedule_is_evaluated_only_every_so_many_updates():
+def test_schedule_is_evaluated_at_its_interval():
     learner = make()
     coverages = []
     for count in (10, 20, 30, 35):
@@ -176,24 +176,24 @@ def test_the_schedule_is_evaluated_only_every_so_many_updates():
     assert coverages[0] == coverages[1] != coverages[2] == coverages[3]
 
 
-def test_a_non_finite_loss_is_skipped_and_counted_and_changes_no_weight():
+def test_non_finite_loss_is_skipped_and_counted():
     learner = make()
     learner.update()
-    plain, calls = learner.arithmetic.loss, []
+    compute, calls = learner.loss.compute_gradients, []
 
-    def sometimes_broken(*arguments):
+    def fail_twice(*arguments):
         calls.append(weights(learner))
-        loss = plain(*arguments)
-        return loss._replace(total=loss.total * float("nan")) if len(calls) <= 2 else loss
+        terms = compute(*arguments)
+        return terms._replace(total=terms.total * float("nan")) if len(calls) <= 2 else terms
 
-    learner.arithmetic = learner.arithmetic._replace(loss=sometimes_broken)
+    learner.loss.compute_gradients = fail_twice
     report = learner.update()
     assert (report.update, learner.skipped) == (2, 2)
     assert np.isfinite(report.loss)
     assert torch.equal(calls[0], calls[2])
 
 
-def test_five_non_finite_losses_in_a_row_are_an_error():
+def test_five_non_finite_losses_raise_divergence_error():
     learner = make()
     with torch.no_grad():
         learner.network.decoder[0].bias[0] = float("nan")
@@ -202,18 +202,18 @@ def test_five_non_finite_losses_in_a_row_are_an_error():
     assert (learner.updates, learner.skipped, learner.schedule.rejected) == (0, 5, 1)
 
 
-def test_evaluating_does_not_change_the_training():
-    looked, straight = make(), make()
+def test_evaluation_does_not_change_training():
+    evaluated_one, straight = make(), make()
     for _ in range(3):
-        looked.evaluate()
-        assert looked.update() == straight.update()
+        evaluated_one.evaluate()
+        assert evaluated_one.update() == straight.update()
 
 
-def test_an_evaluation_compares_own_shuffled_and_missing_latents():
+def test_evaluation_compares_own_shuffled_and_no_latents():
     learner = make()
     for _ in range(3):
         learner.update()
-    with torch.no_grad():  # so early, latents say next to nothing
+    with torch.no_grad():  # after so few updates, latents have almost no effect
         learner.network.encoder[-1].weight.mul_(100.0)
     evaluation = learner.evaluate()
     assert (evaluation.update, evaluation.observations) == (3, 8)
@@ -227,7 +227,7 @@ def evaluated(learner, count):
     return list(learner._evaluation_indices(count))
 
 
-def test_the_evaluated_subset_only_grows_until_it_is_complete():
+def test_evaluation_subset_only_grows():
     learner = make()
     whole = evaluated(learner, 40)
     assert len(set(whole)) == 20
@@ -239,7 +239,7 @@ def test_the_evaluated_subset_only_grows_until_it_is_complete():
     assert evaluated(make(seed=1), 40) != whole
 
 
-def test_before_two_of_the_subset_are_there_the_newest_two_observations_are_evaluated():
+def test_evaluation_uses_newest_two_before_its_subset():
     learner = make(training={"evaluation_size": 2})
     last = max(evaluated(learner, 40))
     assert evaluated(learner, last) == [last - 2, last - 1]
@@ -247,112 +247,112 @@ def test_before_two_of_the_subset_are_there_the_newest_two_observations_are_eval
     assert evaluated(learner, 1) == [0]
 
 
-def test_the_schedule_takes_the_coverage_that_the_planner_takes():
+def test_schedule_uses_configured_coverage():
     ours, theirs = (make(8, exploration={"authors_coverage": authors}).update().coverage for authors in (False, True))
     assert theirs > 1.02 * ours  # divided by the largest kernel
 
 
-def test_the_snapshot_answers_as_the_network_did_when_it_was_refreshed():
+def test_replica_keeps_the_network_of_its_refresh():
     learner = make()
     learner.update()
     learner.refresh()
-    assert learner.snapshots.updates == 1
+    assert learner.replicas.updates == 1
     states, latent = np.random.default_rng(0).uniform(-1, 1, (9, 3)), np.linspace(-1, 1, 16)
     device = next(learner.network.parameters()).device
-    question = (torch.tensor(values, dtype=torch.float32, device=device) for values in (latent, states))
-    expected = learner.network.log_std(*question).detach().cpu().numpy()
+    query = (torch.tensor(values, dtype=torch.float32, device=device) for values in (latent, states))
+    expected = learner.network.log_std(*query).detach().cpu().numpy()
     learner.update()
-    assert np.allclose(learner.snapshots.log_std(states, latent), expected, atol=1e-6)
-    assert learner.snapshots.updates == 1
+    assert np.allclose(learner.replicas.log_std(states, latent), expected, atol=1e-6)
+    assert learner.replicas.updates == 1
 
 
-def test_entropy_given_an_observation_is_that_given_its_latent():
+def test_conditional_log_std_uses_the_observations_latent():
     learner, store = make(), GrowingStore(70)
     states = np.random.default_rng(0).uniform(-1, 1, (9, 3))
-    latent = learner.snapshots.encode(store.states[:1], store.images[:1])[0][0]
-    values, updates = learner.snapshots.conditional_log_std(states, store.states[0], store.images[0])
-    assert np.allclose(values, learner.snapshots.log_std(states, latent), atol=1e-6)
+    latent = learner.replicas.encode(store.states[:1], store.images[:1])[0][0]
+    values, updates = learner.replicas.conditional_log_std(states, store.states[0], store.images[0])
+    assert np.allclose(values, learner.replicas.log_std(states, latent), atol=1e-6)
     assert updates == 0
 
 
-def test_the_snapshot_encodes_an_image_for_each_state_or_one_for_all():
-    snapshots, store = make().snapshots, GrowingStore(70)
-    mean, std, updates = snapshots.encode(store.states, store.images)
+def test_replica_encodes_one_image_per_state_or_one_for_all():
+    replicas, store = make().replicas, GrowingStore(70)
+    mean, std, updates = replicas.encode(store.states, store.images)
     assert updates == 0
     assert mean.shape == std.shape == (70, 16)
-    shared, _, _ = snapshots.encode(store.states, store.images[:1])
+    shared, _, _ = replicas.encode(store.states, store.images[:1])
     assert np.allclose(shared[0], mean[0], atol=1e-6)
     assert np.all(std > 0.0)
 
 
 @pytest.mark.parametrize("shape", [(1, 44, 45, 3), (45, 45, 3), (2, 45, 45, 3)])
-def test_the_snapshot_refuses_images_of_another_shape(shape):
+def test_replica_refuses_images_of_another_shape(shape):
     with pytest.raises(ObservationError, match="images"):
-        make().snapshots.encode(np.zeros((3, 3)), np.zeros(shape, np.uint8))
+        make().replicas.encode(np.zeros((3, 3)), np.zeros(shape, np.uint8))
 
 
-def test_who_waits_for_updates_is_answered_by_the_model_that_had_them_and_everyone_else_by_the_newest():
+def test_query_with_min_updates_gets_the_model_of_that_update():
     learner, store = make(), GrowingStore(70)
-    states, question = np.zeros((4, 3)), (store.states[0], store.images[0])
+    states, query = np.zeros((4, 3)), (store.states[0], store.images[0])
     values = {}
     for _ in range(3):
         learner.update()
         learner.refresh()
-        found, updates = learner.snapshots.conditional_log_std(states, *question)
+        found, updates = learner.replicas.conditional_log_std(states, *query)
         values[updates] = found
     assert list(values) == [1, 2, 3]
-    for min_updates, answered_by in ((0, 3), (1, 3), (2, 2), (3, 3), (4, 3)):
-        found, updates = learner.snapshots.conditional_log_std(states, *question, min_updates)
-        assert updates == answered_by
-        np.testing.assert_array_equal(found, values[answered_by])
+    for min_updates, expected in ((0, 3), (1, 3), (2, 2), (3, 3), (4, 3)):
+        found, updates = learner.replicas.conditional_log_std(states, *query, min_updates)
+        assert updates == expected
+        np.testing.assert_array_equal(found, values[expected])
 
 
-def test_a_refresh_waits_for_readers_of_the_model_that_it_replaces_and_for_no_others():
+def test_refresh_waits_only_for_readers_of_the_replaced_model():
     learner = make()
     learner.update()
-    _, newer = learner.snapshots._copies
+    _, newer = learner.replicas._replicas
     with newer.lock:
         learner.refresh()
-        assert learner.snapshots.updates == 1
+        assert learner.replicas.updates == 1
     learner.update()
-    with newer.lock:  # which is the older one by now
+    with newer.lock:  # by now the older one
         waiting = threading.Thread(target=learner.refresh)
         waiting.start()
         waiting.join(0.2)
         assert waiting.is_alive()
-        assert learner.snapshots.updates == 1
+        assert learner.replicas.updates == 1
     waiting.join(10.0)
-    assert learner.snapshots.updates == 2
+    assert learner.replicas.updates == 2
 
 
-def test_a_reader_who_is_overtaken_by_a_refresh_is_still_answered_by_the_model_that_it_asked_for():
+def test_reader_overtaken_by_refresh_gets_the_requested_model():
     learner, store = make(), GrowingStore(70)
     for _ in range(2):
         learner.update()
         learner.refresh()
-    snapshots, asked = learner.snapshots, (np.zeros((4, 3)), store.states[0], store.images[0], 2)
-    expected, updates = snapshots.conditional_log_std(*asked)
+    replicas, asked = learner.replicas, (np.zeros((4, 3)), store.states[0], store.images[0], 2)
+    expected, updates = replicas.conditional_log_std(*asked)
     assert updates == 2
     learner.update()
-    copies, held = snapshots._copies, threading.Event()
+    originals, held = replicas._replicas, threading.Event()
 
     class Overtaken:
-        """The copies; between the choice of one and its use, a refresh comes."""
+        """The replicas; a refresh happens between the choice of one and its use."""
 
         def __getitem__(self, index):
             if not held.is_set():
                 held.set()
                 learner.refresh()
-            return copies[index]
+            return originals[index]
 
-    snapshots._copies = Overtaken()
-    snapshots._check = lambda *_: None
-    found, updates = snapshots.conditional_log_std(*asked)
+    replicas._replicas = Overtaken()
+    replicas._check = lambda *_: None
+    found, updates = replicas.conditional_log_std(*asked)
     assert (held.is_set(), updates) == (True, 2)
     np.testing.assert_array_equal(found, expected)
 
 
-def test_observations_that_come_early_change_nothing():
+def test_early_observations_do_not_change_the_result():
     in_time, early = make(count=8), make(count=90)
     for step in range(9, 12):
         assert [in_time.update() for _ in range(3)] == [early.update() for _ in range(3)]
@@ -361,59 +361,92 @@ def test_observations_that_come_early_change_nothing():
     assert torch.equal(weights(in_time), weights(early))
 
 
-def test_readers_in_other_threads_see_whole_snapshots_while_learning_goes_on():
+def test_readers_never_see_partly_refreshed_replicas():
     learner = make()
     states, latent = np.zeros((4, 3)), np.zeros(16)
     answers, done = set(), threading.Event()
 
     def read():
         while not done.is_set():
-            answers.add(float(learner.snapshots.log_std(states, latent)[0]))
+            answers.add(float(learner.replicas.log_std(states, latent)[0]))
 
     reader = threading.Thread(target=read)
     reader.start()
-    legal = {float(learner.snapshots.log_std(states, latent)[0])}
+    legal = {float(learner.replicas.log_std(states, latent)[0])}
     try:
         for _ in range(5):
             learner.update()
             learner.refresh()
-            legal.add(float(learner.snapshots.log_std(states, latent)[0]))
+            legal.add(float(learner.replicas.log_std(states, latent)[0]))
     finally:
         done.set()
         reader.join(10.0)
     assert answers <= legal
 
 
-def test_cuda_is_refused_where_there_is_none(monkeypatch):
+class UnusableCuda:
+    """torch finds a GPU, but every computation on it fails, as with a GPU that this torch has no kernels for."""
+
+    REASON = "CUDA error: no kernel image is available for execution on the device"
+
+    def __init__(self, monkeypatch):
+        monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+        monkeypatch.setattr(build, "check_device", self.fail)
+
+    def fail(self, device):
+        assert device.type == "cuda"
+        raise RuntimeError(f"{self.REASON}\nCompile with `TORCH_USE_CUDA_DSA` to enable device-side assertions.")
+
+
+def test_unusable_gpu_falls_back_to_cpu_with_warning(monkeypatch, caplog):
+    UnusableCuda(monkeypatch)
+    assert choose_device("auto") == torch.device("cpu")
+    assert UnusableCuda.REASON in caplog.text
+    assert "training on the CPU" in caplog.text
+
+
+def test_unusable_gpu_is_an_error_if_requested(monkeypatch):
+    UnusableCuda(monkeypatch)
+    with pytest.raises(ConfigError, match=r"no kernel image.*set training/device: cpu"):
+        choose_device("cuda")
+
+
+def test_device_check_computes_a_convolution_gradient():
+    build.check_device(torch.device("cpu"))
+    with pytest.raises(RuntimeError):
+        build.check_device(torch.device("meta"))  # has shapes, but no numbers
+
+
+def test_cuda_is_refused_without_a_device(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ConfigError, match="training/device"):
         choose_device("cuda")
     assert choose_device("auto") == torch.device("cpu")
 
 
-def test_on_a_gpu_convolutions_are_exact_and_repeatable(monkeypatch):
+def test_cuda_convolutions_are_exact_and_deterministic(monkeypatch):
     flags = torch.backends.cudnn
     for name, unwanted in (("deterministic", False), ("benchmark", True), ("allow_tf32", True)):
         monkeypatch.setattr(flags, name, unwanted)
-    arithmetic = choose_arithmetic(make().network, torch.device("cuda"))
-    assert arithmetic.loss is plain_loss
+    loss = choose_loss(make().network, torch.device("cuda"))
+    assert isinstance(loss, PlainLoss)
     assert (flags.deterministic, flags.benchmark, flags.allow_tf32) == (True, False, False)
 
 
-def test_whoever_asks_for_the_network_gets_it_after_the_step_that_is_still_under_way():
+def test_network_waits_for_the_background_step():
     learner, other = make(), make()
-    go_on = threading.Event()
+    proceed = threading.Event()
     late = learner._optimiser.parts[1]
-    late.step = lambda step=late.step: go_on.wait(10.0) and step()
+    late.step = lambda step=late.step: proceed.wait(10.0) and step()
     for _ in range(2):
-        go_on.clear()
+        proceed.clear()
         learner.update()
-        threading.Timer(0.1, go_on.set).start()
+        threading.Timer(0.1, proceed.set).start()
         other.update()
     assert torch.equal(weights(learner), weights(other))
 
 
-def test_what_goes_wrong_in_a_step_is_raised_by_whoever_needs_its_result():
+def test_error_in_background_step_is_raised_by_refresh():
     learner = make()
 
     def fail():
@@ -425,21 +458,21 @@ def test_what_goes_wrong_in_a_step_is_raised_by_whoever_needs_its_result():
         learner.refresh()
 
 
-def test_a_model_whose_step_went_wrong_answers_nobody():
+def test_failed_step_does_not_refresh_replicas():
     learner = make()
     learner.update()
     learner.refresh()
-    go_on, told = threading.Event(), []
+    proceed, called = threading.Event(), []
 
     def fail():
-        go_on.wait(10.0)
+        proceed.wait(10.0)
         raise RuntimeError("no memory")
 
     learner._optimiser.parts[1].step = fail
     learner.update()
-    learner.refresh_meanwhile(lambda: told.append(learner.snapshots.updates))
-    go_on.set()
+    learner.refresh_async(lambda: called.append(learner.replicas.updates))
+    proceed.set()
     with pytest.raises(RuntimeError, match="no memory"):
-        learner.settle()
-    assert learner.snapshots.updates == 1
-    assert not told
+        learner.join()
+    assert learner.replicas.updates == 1
+    assert not called

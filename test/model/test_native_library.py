@@ -1,159 +1,116 @@
-"""The compiled kernels are built and loaded whatever the machine's compiler, cache and home are like."""
+"""Loading of the compiled kernels: where they are found, and when they are refused."""
 
 from __future__ import annotations
 
-import errno
-import os
+import ctypes
+import logging
 import shutil
 import subprocess
-import sys
+from pathlib import Path
 
 import pytest
 
+import embodied_active_learning
 from embodied_active_learning.model.native import library
-from embodied_active_learning.model.native.library import load_library
+from embodied_active_learning.model.native.library import FILE_NAME, load_kernels
 
+SOURCE = Path(library.__file__).with_name("kernels.c")
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
-ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 
 
-@pytest.fixture(autouse=True)
-def cache(monkeypatch, tmp_path):
-    """An empty cache, a compiler that does not take long, and a private folder that no other test has used."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv("CC", raising=False)
-    monkeypatch.setattr(library, "FLAGS", ("-O0", "-shared", "-fPIC"))
-    library.private_folder.cache_clear()
-    yield tmp_path / "cache" / "embodied_active_learning"
-    library.private_folder.cache_clear()
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    """The only folder in which the library is searched for; empty at first."""
+    monkeypatch.setattr(embodied_active_learning, "__path__", [str(tmp_path)])
+    load_kernels.cache_clear()
+    yield tmp_path
+    load_kernels.cache_clear()
 
 
-def script(path, *lines):
-    path.write_text("\n".join(("#!/bin/sh", *lines, "")))
-    path.chmod(0o755)
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A library compiled without optimisation and for any processor of this kind."""
+    path = tmp_path_factory.mktemp("kernels") / FILE_NAME
+    subprocess.run(["gcc", "-std=gnu11", "-O0", "-shared", "-fPIC", "-o", str(path), str(SOURCE)], check=True)
     return path
 
 
-def test_a_compiler_that_fails_is_told_with_its_own_words(monkeypatch, tmp_path):
-    monkeypatch.setenv("CC", str(script(tmp_path / "cc", "echo this machine is broken >&2", "exit 1")))
-    library, reason = load_library()
-    assert library is None
-    assert "this machine is broken" in reason
-
-
-@pytest.mark.parametrize("words", ["gcc 'half", "''", "/no/such/compiler -O2"])
-def test_a_compiler_that_does_not_exist_is_no_compiler(monkeypatch, words):
-    monkeypatch.setenv("CC", words)
-    library, reason = load_library()
-    assert library is None
-    assert reason
+def test_missing_library_is_reported_once_with_remedy(folder, caplog):
+    with caplog.at_level(logging.WARNING):
+        first, second = load_kernels(), load_kernels()
+    assert first is second
+    assert first.kernels is None
+    assert f"{FILE_NAME} not found in {folder}" in first.description
+    assert len(caplog.records) == 1
+    assert "build the package with a C compiler" in caplog.text
 
 
 @needs_compiler
-def test_the_library_is_compiled_once_and_then_taken_from_the_cache(cache):
-    assert load_library()[0] is not None
-    (built,) = cache.iterdir()
-    before = built.stat().st_mtime_ns
-    assert load_library()[0] is not None
-    assert built.stat().st_mtime_ns == before
+def test_library_is_found_next_to_the_package(folder, compiled, caplog):
+    shutil.copy(str(compiled), str(folder))
+    kernels, description = load_kernels()
+    assert kernels is not None
+    assert f"{kernels.lanes} images at a time" in description
+    assert not caplog.records
 
 
 @needs_compiler
-def test_the_library_is_on_the_disk_before_it_has_its_name(cache, monkeypatch):
-    named = []
-    monkeypatch.setattr(library.os, "fsync", lambda _: named.append(list(cache.glob("*.so"))))
-    assert load_library()[0] is not None
-    assert named == [[]]
+def test_library_in_any_folder_of_the_package_is_found(folder, compiled, monkeypatch, tmp_path):
+    """In the devel space, the library is in the build folder and the Python code in the sources."""
+    (tmp_path / "devel").mkdir()
+    shutil.copy(str(compiled), str(tmp_path / "devel"))
+    monkeypatch.setattr(embodied_active_learning, "__path__", [str(tmp_path / "src"), str(tmp_path / "devel")])
+    assert load_kernels().kernels is not None
 
 
 @needs_compiler
-def test_a_damaged_library_in_the_cache_is_built_anew(cache):
-    path = cache / f"kernels_{library._fingerprint(['gcc'])}.so"
-    cache.mkdir(parents=True)
-    path.write_bytes(b"\0" * 100)
-    assert load_library()[0] is not None
-    assert list(cache.iterdir()) == [path]
-    assert path.stat().st_size > 1000
+def test_library_for_another_processor_is_refused(folder, compiled, monkeypatch):
+    shutil.copy(str(compiled), str(folder))
+    features = ctypes.c_char_p(b"pni fast_maths ")
+    monkeypatch.setattr(library.ctypes, "c_char_p", StandIn(features))
+    monkeypatch.setattr(library, "_available_features", lambda: {"pni"})
+    kernels, description = load_kernels()
+    assert kernels is None
+    assert "compiled for another processor, this one lacks fast_maths" in description
 
 
-def no_home(error):
-    def home():
-        raise error
+class StandIn:
+    """Replaces ctypes.c_char_p: the library claims these features."""
 
-    return home
+    def __init__(self, value):
+        self._value = value
 
-
-@needs_compiler
-@pytest.mark.parametrize("error", [RuntimeError("no home"), KeyError("getpwuid(): uid not found: 4321")])
-def test_without_a_home_the_library_is_built_for_this_process(monkeypatch, error):
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr(library.Path, "home", no_home(error))
-    assert load_library()[0] is not None
-    assert len(list(library.private_folder().iterdir())) == 1
+    def in_dll(self, _library, _name):
+        return self._value
 
 
 @needs_compiler
-def test_beside_a_cache_that_cannot_be_written_the_library_is_built_for_this_process(cache):
-    cache.parent.write_text("a file, in which there are no folders")
-    assert load_library()[0] is not None
-    assert len(list(library.private_folder().iterdir())) == 1
+def test_library_of_another_version_is_refused(folder, compiled, monkeypatch):
+    shutil.copy(str(compiled), str(folder))
+    monkeypatch.setattr(library, "INTERFACE_VERSION", library.INTERFACE_VERSION + 1)
+    kernels, description = load_kernels()
+    assert kernels is None
+    assert "compiled from other sources" in description
+
+
+@pytest.mark.parametrize("content", [b"", b"\0" * 100])
+def test_damaged_library_is_refused(folder, content):
+    (folder / FILE_NAME).write_bytes(content)
+    kernels, description = load_kernels()
+    assert kernels is None
+    assert FILE_NAME in description
 
 
 @needs_compiler
-def test_beside_a_cache_that_is_mounted_noexec_the_library_is_built_for_this_process(cache, monkeypatch):
-    load = library.ctypes.CDLL
-
-    def refuse_below_the_cache(path):
-        if path.startswith(str(cache)):
-            raise OSError(errno.EPERM, "failed to map segment from shared object")
-        return load(path)
-
-    monkeypatch.setattr(library.ctypes, "CDLL", refuse_below_the_cache)
-    assert load_library()[0] is not None
+def test_native_build_states_the_features_it_uses(tmp_path):
+    path = tmp_path / "native.so"
+    command = ["gcc", "-std=gnu11", "-O0", "-march=native", "-shared", "-fPIC", "-o", str(path), str(SOURCE)]
+    subprocess.run(command, check=True)
+    features = ctypes.c_char_p.in_dll(ctypes.CDLL(str(path)), "cpu_features").value.decode().split()
+    assert set(features) <= library._available_features()
 
 
-@needs_compiler
-def test_the_private_folder_is_gone_when_its_process_is(tmp_path):
-    program = """
-from embodied_active_learning.model.native import library
-library.FLAGS = ("-O0", "-shared", "-fPIC")
-assert library.load_library()[0] is not None
-print(library.private_folder())
-"""
-    (tmp_path / "file").touch()
-    environment = {**ENVIRONMENT, "XDG_CACHE_HOME": str(tmp_path / "file"), "TMPDIR": str(tmp_path)}
-    said = subprocess.run([sys.executable, "-c", program], check=True, env=environment, stdout=subprocess.PIPE)
-    folder = said.stdout.decode().strip()
-    assert folder.startswith(str(tmp_path / "embodied_active_learning_"))
-    assert not os.path.exists(folder)
-
-
-@needs_compiler
-def test_a_compiler_of_several_words_is_used(cache, monkeypatch, tmp_path):
-    launcher = script(tmp_path / "ccache", f'echo "$1" >> {tmp_path}/called', 'exec "$@"')
-    monkeypatch.setenv("CC", f"'{launcher}' gcc")
-    assert load_library()[0] is not None
-    assert set((tmp_path / "called").read_text().split()) == {"gcc"}
-
-
-@needs_compiler
-def test_another_text_of_any_source_builds_a_library_of_its_own(cache, monkeypatch, tmp_path):
-    sources = [shutil.copy(str(source), str(tmp_path)) for source in (library.SOURCE, *library.INCLUDED)]
-    monkeypatch.setattr(library, "SOURCE", library.Path(sources[0]))
-    monkeypatch.setattr(library, "INCLUDED", [library.Path(source) for source in sources[1:]])
-    assert len(sources) == 5
-    names = {library._fingerprint(["gcc"])}
-    for source in sources:
-        with open(source, "a") as stream:
-            stream.write("/* another text */\n")
-        names.add(library._fingerprint(["gcc"]))
-    assert len(names) == 1 + len(sources)
-
-
-@needs_compiler
-def test_another_version_of_the_compiler_builds_its_own_library(cache, monkeypatch, tmp_path):
-    for version in (12, 13):
-        says = f'if [ "$1" = --version ]; then echo gcc {version}; else exec gcc "$@"; fi'
-        monkeypatch.setenv("CC", str(script(tmp_path / "cc", says)))
-        assert load_library()[0] is not None
-    assert len(list(cache.iterdir())) == 2
+def test_features_are_read_from_proc_cpuinfo(monkeypatch):
+    text = "processor\t: 0\nmodel name\t: any\nflags\t\t: fpu avx2 fma\n\nprocessor\t: 1\nflags\t\t: fpu\n"
+    monkeypatch.setattr(library.Path, "read_text", lambda *_, **__: text)
+    assert library._available_features() == {"fpu", "avx2", "fma"}

@@ -1,7 +1,7 @@
-"""A model that lives on a GPU: what holds on the CPU holds there, shown with a device that only looks like another one.
+"""Training on a GPU, shown on a fake device that rejects the same operations as CUDA.
 
-It has its own memory, and refuses tensors of the CPU, but works on the CPU: this shows that nothing is mixed up and
-nothing left behind, and tells nothing about a GPU's numbers or its speed.
+It has memory of its own and refuses CPU tensors, but computes on the CPU: this finds tensors on the wrong device, and
+says nothing about a GPU's results or speed.
 """
 
 import os
@@ -14,7 +14,7 @@ import pytest
 
 import other_device
 
-FOLDER = Path(__file__).resolve().parents[1] / "support"
+TESTS = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +25,10 @@ def library(tmp_path_factory):
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
-@pytest.mark.parametrize("cases", ["other_device_cases.py", "test_model_learner.py", "test_training_run.py"])
-def test_learning_holds_on_another_device(library, tmp_path, cases):
+@pytest.mark.parametrize(
+    "cases", ["support/other_device_cases.py", "model/test_learner.py", "pipeline/test_training.py"]
+)
+def test_training_on_fake_device(library, tmp_path, cases):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), other_device.LIBRARY: str(library)}
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "other_device", "--basetemp"]
-    subprocess.run([*command, str(tmp_path / "cases"), str(FOLDER / cases)], check=True, env=environment)
+    subprocess.run([*command, str(tmp_path / "cases"), str(TESTS / cases)], check=True, env=environment)

@@ -1,4 +1,4 @@
-"""beta and gamma from the spread of the log std and the coverage."""
+"""Schedule of beta and gamma. Paper, Alg. 1, line 13."""
 
 import math
 
@@ -11,7 +11,7 @@ from embodied_active_learning.config import ObjectiveConfig
 from embodied_active_learning.model.schedule import Schedule, beta_from_log_std, gamma_from_coverage
 
 
-def test_beta_computed_by_hand():
+def test_beta_matches_hand_computed_value():
     std = np.array([0.01, 0.1, 1.0])
     # h = std^k with k = 0.5 spans one decade: log10 beta = 1 - 4
     assert beta_from_log_std(np.log(std), 0.5, chi=4.0, beta_max=0.01) == pytest.approx(1e-3)
@@ -21,7 +21,7 @@ def test_beta_of_a_flat_model_is_ten_to_the_minus_chi():
     assert beta_from_log_std(np.full(5, -3.0), 1.0, chi=4.0, beta_max=0.01) == pytest.approx(1e-4)
 
 
-def test_beta_is_clamped_from_above_even_where_the_power_would_overflow():
+def test_beta_is_clamped_even_if_the_power_overflows():
     assert beta_from_log_std(np.array([-1e6, 0.0]), 1.0, chi=4.0, beta_max=0.01) == 0.01
 
 
@@ -32,17 +32,17 @@ def test_beta_in_log_space_equals_the_papers_formula(log_std, coverage):
     assert beta_from_log_std(np.array(log_std), coverage, 4.0, 0.01) == pytest.approx(expected, rel=1e-9)
 
 
-def test_gamma_is_the_weight_times_the_coverage():
+def test_gamma_is_weight_times_coverage():
     assert gamma_from_coverage(0.6, 0.1) == pytest.approx(0.06)
 
 
-def test_before_the_first_evaluation_beta_is_smallest_and_gamma_zero():
+def test_schedule_starts_with_smallest_beta_and_zero_gamma():
     schedule = Schedule(ObjectiveConfig())
     assert schedule.beta == pytest.approx(1e-4)
     assert schedule.gamma == 0.0
 
 
-def test_the_schedule_averages_the_filled_entries_of_its_window():
+def test_schedule_averages_its_window():
     schedule = Schedule(ObjectiveConfig(schedule_window=2))
     for coverage in (0.2, 0.4, 0.8):
         assert schedule.evaluate(np.array([0.0, math.log(10.0)]), coverage)
@@ -52,7 +52,7 @@ def test_the_schedule_averages_the_filled_entries_of_its_window():
 
 
 @pytest.mark.parametrize(("log_std", "coverage"), [([0.0, math.nan], 0.5), ([0.0, math.inf], 0.5), ([0.0], math.nan)])
-def test_non_finite_input_is_counted_and_changes_nothing(log_std, coverage):
+def test_non_finite_evaluation_is_only_counted(log_std, coverage):
     schedule = Schedule(ObjectiveConfig())
     schedule.evaluate(np.array([0.0, 1.0]), 0.5)
     before = (schedule.beta, schedule.gamma, schedule.coverage)
@@ -61,7 +61,7 @@ def test_non_finite_input_is_counted_and_changes_nothing(log_std, coverage):
     assert schedule.rejected == 1
 
 
-def test_a_restored_schedule_goes_on_with_the_same_window():
+def test_restored_schedule_continues_its_window():
     first, second = Schedule(ObjectiveConfig(schedule_window=3)), Schedule(ObjectiveConfig(schedule_window=3))
     for coverage in (0.1, 0.2, 0.3, 0.4):
         first.evaluate(np.array([-1.0, 0.5]), coverage)

@@ -1,4 +1,4 @@
-"""A trained network for its users: what it answers is what the network answers, and where it is loaded from."""
+"""Trained models: same results as the network, and loading from a session."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from embodied_active_learning.session.session import Session
 
 VALUES = {"camera": {"width": 48, "height": 45}, "model": {"latent_size": 4, "hidden_sizes": [32, 16]}}
 CONFIG = Config.from_dict(VALUES)
-COUNT = 70  # images: more than the model takes at a time
+COUNT = 70  # more images than one forward pass takes
 
 
 def make_network(config=CONFIG, seed=0):
     torch.manual_seed(seed)
     network = ConditionalVAE((config.camera.height, config.camera.width), 3, config.model)
     with torch.no_grad():
-        for parameter in network.parameters():  # far from zero, so that no output is nearly constant
+        for parameter in network.parameters():  # larger weights, so that no output is nearly constant
             parameter.mul_(1.7)
     return network
 
@@ -50,7 +50,7 @@ def data():
     return states, random.integers(0, 256, (COUNT, 45, 48, 3), dtype=np.uint8)
 
 
-def test_images_are_encoded_as_the_network_does_at_normalised_states(network, model, data):
+def test_encode_matches_network_at_normalised_states(network, model, data):
     states, images = data
     with torch.no_grad():
         expected = network.encode(normalised(states), torch.from_numpy(images))
@@ -62,7 +62,7 @@ def test_images_are_encoded_as_the_network_does_at_normalised_states(network, mo
     assert mean.shape == std.shape == (COUNT, model.latent_size) == (COUNT, 4)
 
 
-def test_latents_are_decoded_as_the_network_does_into_colours_from_0_to_1(network, model, data):
+def test_decode_matches_network_clipped_to_0_and_1(network, model, data):
     states, _ = data
     latents = 3.0 * np.random.default_rng(1).standard_normal((COUNT, 4)).astype(np.float32)
     with torch.no_grad():
@@ -74,7 +74,7 @@ def test_latents_are_decoded_as_the_network_does_into_colours_from_0_to_1(networ
     np.testing.assert_allclose(std, log_std.exp(), rtol=1e-4)
 
 
-def test_log_std_is_the_networks_for_each_latent_at_each_state(network, model, data):
+def test_log_std_matches_network_for_all_pairs(network, model, data):
     states, _ = data
     latents = 3.0 * np.random.default_rng(1).standard_normal((5, 4)).astype(np.float32)
     found = model.log_std(latents, states)
@@ -85,7 +85,7 @@ def test_log_std_is_the_networks_for_each_latent_at_each_state(network, model, d
             np.testing.assert_allclose(row, expected, atol=1e-5)
 
 
-def test_many_states_are_answered_like_few(model):
+def test_log_std_of_many_states_matches_few(model):
     random, box = np.random.default_rng(2), CONFIG.workspace.box()
     states = random.uniform(box.lower, box.upper, (9000, 3))
     found = model.log_std(np.ones((1, 4), np.float32), states)
@@ -94,7 +94,7 @@ def test_many_states_are_answered_like_few(model):
 
 
 @pytest.mark.parametrize(("images", "states"), [(1, 1), (3, 50), (70, 1), (7, 70)])
-def test_pairs_are_encoded_like_each_image_at_each_state(model, data, images, states):
+def test_encode_pairs_matches_encode(model, data, images, states):
     at, seen = data[0][:states], data[1][:images]
     pairs = model.encode_pairs(at, model.image_features(seen))
     assert pairs.shape == (images, states, 4)
@@ -103,7 +103,7 @@ def test_pairs_are_encoded_like_each_image_at_each_state(model, data, images, st
         np.testing.assert_allclose(row, mean, atol=1e-5)
 
 
-def test_more_pairs_than_are_taken_at_a_time_are_all_answered_in_order(model, data):
+def test_encode_pairs_keeps_order_across_chunks(model, data):
     states = np.random.default_rng(3).uniform(-1.0, 1.0, (500, 3))
     features = model.image_features(data[1][:20])
     pairs = model.encode_pairs(states, features)
@@ -112,7 +112,7 @@ def test_more_pairs_than_are_taken_at_a_time_are_all_answered_in_order(model, da
         np.testing.assert_allclose(pairs[image, state], mean[0], atol=1e-5)
 
 
-def test_images_may_be_a_view_of_others(model, data):
+def test_images_may_be_a_view(model, data):
     states, images = data
     mirrored = images[:3, :, ::-1]
     np.testing.assert_array_equal(model.encode(states[:3], mirrored), model.encode(states[:3], mirrored.copy()))
@@ -128,10 +128,8 @@ def test_images_may_be_a_view_of_others(model, data):
         (np.zeros((2, 45, 48, 3), np.float32), r"float32 \(2, 45, 48, 3\)"),
     ],
 )
-def test_images_of_another_size_or_type_are_refused_by_both(model, images, found):
-    with pytest.raises(
-        ObservationError, match=rf"images are {found}, the model was trained with uint8 \(N, \*\(45, 48"
-    ):
+def test_images_of_another_size_or_type_are_refused(model, images, found):
+    with pytest.raises(ObservationError, match=rf"{found}, the model was trained with uint8 \(N, \*\(45, 48"):
         model.image_features(images)
 
 
@@ -154,11 +152,11 @@ def assert_same_weights(trained, network):
         assert all(torch.equal(held[name], tensor) for name, tensor in expected.items())
 
 
-def test_there_is_no_model_before_training(tmp_path):
+def test_no_model_before_training(tmp_path):
     assert load_newest_model(open_session(tmp_path)) is None
 
 
-def test_a_model_that_was_never_updated_is_none(tmp_path):
+def test_model_without_updates_is_none(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 0, make_network())
     assert load_newest_model(session) is None
@@ -166,7 +164,7 @@ def test_a_model_that_was_never_updated_is_none(tmp_path):
     assert load_newest_model(session) is None
 
 
-def test_newest_checkpoint_serves_while_there_is_no_model(tmp_path):
+def test_newest_checkpoint_is_loaded_without_final_model(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 3, make_network(seed=3))
     write_checkpoint(session, 12, make_network(seed=12))
@@ -175,7 +173,7 @@ def test_newest_checkpoint_serves_while_there_is_no_model(tmp_path):
     assert_same_weights(trained, make_network(seed=12))
 
 
-def test_final_model_is_taken_before_any_checkpoint(tmp_path):
+def test_final_model_is_preferred_to_checkpoints(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 12, make_network(seed=12))
     save_model(session.paths.model, make_network(seed=9).state_dict(), {"updates": 9, "observations": 3})
@@ -184,7 +182,7 @@ def test_final_model_is_taken_before_any_checkpoint(tmp_path):
     assert_same_weights(trained, make_network(seed=9))
 
 
-def test_loaded_model_is_for_use_and_not_for_training(tmp_path):
+def test_loaded_model_is_in_evaluation_mode(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 3, make_network())
     network = load_newest_model(session).model.network
@@ -196,7 +194,7 @@ def test_loaded_model_is_for_use_and_not_for_training(tmp_path):
     "section", [{"model": {"latent_size": 5, "hidden_sizes": [32, 16]}}, {"camera": {"width": 60}}]
 )
 @pytest.mark.parametrize("final", [True, False])
-def test_model_of_another_configuration_is_refused_by_its_file(tmp_path, section, final):
+def test_model_of_another_configuration_is_refused_by_file(tmp_path, section, final):
     session = open_session(tmp_path)
     other = make_network(Config.from_dict({**VALUES, **section}))
     if final:
@@ -208,7 +206,7 @@ def test_model_of_another_configuration_is_refused_by_its_file(tmp_path, section
         load_newest_model(session)
 
 
-def test_damaged_model_is_refused_though_there_are_checkpoints(tmp_path):
+def test_damaged_model_is_refused_despite_checkpoints(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 3, make_network())
     save_model(session.paths.model, make_network().state_dict(), {"updates": 3, "observations": 3})
@@ -219,7 +217,7 @@ def test_damaged_model_is_refused_though_there_are_checkpoints(tmp_path):
         load_newest_model(session)
 
 
-def test_model_that_does_not_say_how_long_it_has_learned_is_refused_by_its_file(tmp_path):
+def test_model_without_update_count_is_refused(tmp_path):
     session = open_session(tmp_path)
     save_model(session.paths.model, make_network().state_dict(), {})
     with pytest.raises(CorruptFileError, match=r"model\.safetensors"):

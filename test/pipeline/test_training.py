@@ -1,4 +1,4 @@
-"""The learning half of Algorithm 1: stores, learns in its thread, answers meanwhile, and goes on after a stop."""
+"""Training run: stores observations, trains in its thread, answers queries meanwhile, and resumes after a stop."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_updates_keep_their_ratio_to_observations(tmp_path):
         assert not errors
 
 
-def test_a_finished_run_leaves_model_tables_and_checkpoint(tmp_path):
+def test_finished_run_writes_model_tables_and_checkpoint(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run) as (_, finished, errors):
         hand_over(run, range(STEPS))
@@ -38,14 +38,14 @@ def test_a_finished_run_leaves_model_tables_and_checkpoint(tmp_path):
     assert len((tmp_path / "run" / "evaluation.csv").read_text().splitlines()) == 4 + 1
 
 
-def test_entropy_before_learning_says_that_nothing_is_learned(tmp_path):
+def test_log_std_is_none_before_first_update(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run):
         hand_over(run, range(2))
         assert run.log_std(np.zeros((5, 3)), 0) == (None, 0, True)
 
 
-def test_entropy_from_a_model_that_is_not_there_yet_is_not_answered(tmp_path):
+def test_log_std_times_out_without_the_requested_update(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run):
         hand_over(run, range(5))
@@ -54,7 +54,7 @@ def test_entropy_from_a_model_that_is_not_there_yet_is_not_answered(tmp_path):
         assert not ready
 
 
-def test_entropy_and_latents_come_from_the_newest_snapshot(tmp_path):
+def test_log_std_and_latents_come_from_newest_model(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run):
         hand_over(run, range(8))
@@ -69,20 +69,20 @@ def test_entropy_and_latents_come_from_the_newest_snapshot(tmp_path):
         assert np.all(stds > 0.0)
 
 
-def test_nothing_to_encode_is_an_error_and_not_an_empty_answer(tmp_path):
+def test_encoding_nothing_is_an_error(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run), pytest.raises(ObservationError, match="0 images and 0 states"):
         run.encode(np.empty((0, 3)), [])
 
 
-def test_an_observation_handed_over_twice_counts_once(tmp_path):
+def test_repeated_observation_counts_once(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run):
         hand_over(run, [0, 1, 1, 0, 2])
         assert run.observations == 3
 
 
-def test_a_stopped_run_goes_on_with_every_observation_and_update(tmp_path):
+def test_stopped_run_resumes_with_all_observations_and_updates(tmp_path):
     first = TrainingRun(configured(tmp_path))
     with training(first):
         hand_over(first, range(10))
@@ -99,14 +99,14 @@ def test_a_stopped_run_goes_on_with_every_observation_and_update(tmp_path):
     assert updates == [str(update) for update in range(1, 2 * STEPS + 1)]
 
 
-def test_a_checkpoint_can_be_asked_for_while_training(tmp_path):
+def test_checkpoint_can_be_requested_while_training(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run):
         hand_over(run, range(6))
         assert run.save(TIMEOUT).exists()
 
 
-def test_what_the_newest_checkpoint_holds_is_not_written_again(tmp_path, monkeypatch):
+def test_unchanged_checkpoint_is_not_rewritten(tmp_path, monkeypatch):
     written = []
 
     def save_checkpoint(folder, updates, *arguments):
@@ -126,7 +126,7 @@ def test_what_the_newest_checkpoint_holds_is_not_written_again(tmp_path, monkeyp
     assert written == [2 * STEPS, 2 * STEPS]
 
 
-def test_a_session_in_use_is_not_opened_again(tmp_path):
+def test_session_in_use_cannot_be_opened_again(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run), pytest.raises(SessionError, match="in use"):
         TrainingRun(configured(tmp_path, resume=True))

@@ -1,6 +1,6 @@
-"""Learning on another device than the CPU, where there is none: a plugin of pytest, and what it needs built.
+"""pytest plugin that runs the learner on a fake device, which rejects the same operations as CUDA.
 
-What torch is told of a device lasts as long as the process, so that tests of it have one of their own.
+A device stays registered with torch until the process ends, so these tests run in a process of their own.
 """
 
 import os
@@ -12,12 +12,12 @@ import torch
 from embodied_active_learning.model import learner
 
 SOURCE = Path(__file__).with_suffix(".cpp")
-LIBRARY = "OTHER_DEVICE_LIBRARY"  # the variable that says where it has been built
+LIBRARY = "OTHER_DEVICE_LIBRARY"  # environment variable with its path
 NAME = "other"
 
 
 class Runtime:
-    """What torch asks of a device's module, as it asks torch.cuda."""
+    """The fake device's counterpart of the module torch.cuda."""
 
     @staticmethod
     def is_available():
@@ -33,7 +33,7 @@ class Runtime:
 
 
 def build(path):
-    """Compile the device for the torch that is installed."""
+    """Compile the device for the installed torch."""
     torch_folder = Path(torch.__file__).parent
     abi = f"-D_GLIBCXX_USE_CXX11_ABI={int(torch.compiled_with_cxx11_abi())}"
     links = [f"-L{torch_folder / 'lib'}", "-ltorch", "-ltorch_cpu", "-lc10"]
@@ -43,7 +43,7 @@ def build(path):
 
 
 def pytest_configure():
-    """Let every learner of this process live on the other device, whatever its configuration says."""
+    """Put every learner of this process on the fake device, whatever its configuration."""
     torch.ops.load_library(os.environ[LIBRARY])
     torch.utils.rename_privateuse1_backend(NAME)
     torch._register_device_module(NAME, Runtime)

@@ -1,4 +1,4 @@
-"""What is to hold where the model lives on another device; run by test_model_other_device.py."""
+"""Training runs on a fake device; run by test/model/test_other_device.py in a process of its own."""
 
 from contextlib import contextmanager
 
@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from embodied_active_learning.model import learner
-from embodied_active_learning.model.objective import plain_loss
+from embodied_active_learning.model.objective import PlainLoss
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.checkpoints import load_latest
 from other_device import NAME
@@ -15,17 +15,17 @@ from training_thread import STEPS, TIMEOUT, configured, hand_over, observation, 
 
 
 @contextmanager
-def living_on(device):
-    """The time in which learners are made for a device; with the same arithmetic on either."""
+def learners_on(device):
+    """Build learners for a device, with the same loss function on either."""
     with pytest.MonkeyPatch.context() as patch:
         if device == "cpu":
             patch.setattr(learner, "choose_device", lambda _: torch.device("cpu"))
-            patch.setattr(learner, "choose_arithmetic", lambda *_: learner.Arithmetic(plain_loss, "plain", 1))
+            patch.setattr(learner, "choose_loss", lambda *_: PlainLoss("plain"))
         yield
 
 
 def devices(run):
-    """Where a run's weights are."""
+    """Device types of a run's weights."""
     return {tensor.device.type for tensor in weights(run).values()}
 
 
@@ -34,7 +34,7 @@ def weights(run):
 
 
 def learn(configuration, indices):
-    """Let a run have observations and make its updates -> what it was, and what it answered at the end."""
+    """Train a run on observations -> the run, its reports and its final answers."""
     run = TrainingRun(configuration)
     with training(run) as (reports, finished, errors):
         hand_over(run, indices)
@@ -46,7 +46,7 @@ def learn(configuration, indices):
     return run, reports, np.concatenate([log_std, means.ravel(), stds.ravel()])
 
 
-def test_tensors_of_the_cpu_are_refused_beside_those_of_the_device():
+def test_fake_device_rejects_cpu_tensors():
     ours, theirs = torch.ones(2, 2, device=NAME), torch.ones(2, 2)
     with pytest.raises(RuntimeError, match="same device"):
         ours + theirs
@@ -56,9 +56,9 @@ def test_tensors_of_the_cpu_are_refused_beside_those_of_the_device():
         ours.numpy()
 
 
-def test_a_run_learns_there_what_it_learns_on_the_cpu(tmp_path):
+def test_training_on_device_matches_cpu(tmp_path):
     there, reports, answers = learn(configured(tmp_path / "there"), range(STEPS))
-    with living_on("cpu"):
+    with learners_on("cpu"):
         here, expected_reports, expected_answers = learn(configured(tmp_path / "here"), range(STEPS))
     assert (devices(there), devices(here)) == ({NAME}, {"cpu"})
     assert len(reports) == len(expected_reports) == 2 * STEPS
@@ -70,17 +70,17 @@ def test_a_run_learns_there_what_it_learns_on_the_cpu(tmp_path):
 
 
 @pytest.mark.parametrize(("begun", "continued"), [("cpu", NAME), (NAME, "cpu")])
-def test_what_was_begun_on_one_device_goes_on_on_the_other(tmp_path, begun, continued):
-    with living_on(begun):
+def test_training_resumes_on_another_device(tmp_path, begun, continued):
+    with learners_on(begun):
         first = TrainingRun(configured(tmp_path))
     with training(first):
         hand_over(first, range(10))
         first.log_std(np.zeros((1, 3)), 14, TIMEOUT)
     saved = load_latest(tmp_path / "run" / "checkpoints")
-    with living_on(continued):
+    with learners_on(continued):
         again = TrainingRun(configured(tmp_path, resume=True))
     assert (devices(first), devices(again)) == ({begun}, {continued})
-    tensors, counters = again._learner.state()
+    tensors, counters = again._learner.state_dict()
     assert counters["updates"] == 14
     assert tensors.keys() == saved.tensors.keys()
     for name, tensor in tensors.items():

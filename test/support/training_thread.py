@@ -1,4 +1,4 @@
-"""Runs that learn from small random images, with their training thread going, as the trainer's node has it."""
+"""Training runs on small random images, with a training thread as in the trainer node."""
 
 import threading
 from contextlib import contextmanager
@@ -25,7 +25,7 @@ def configured(root, **session):
 
 
 class Training(NamedTuple):
-    """What a training thread tells: its reports, that it has finished, or the error that it has ended with."""
+    """Output of a training thread: reports, whether it has finished, and errors."""
 
     reports: list
     finished: threading.Event
@@ -33,36 +33,36 @@ class Training(NamedTuple):
 
 
 def observation(index):
-    """Observation number index, always the same."""
+    """Return observation number index, always the same."""
     random = np.random.default_rng(index)
     state = random.uniform([0.33, -0.14, -1.9], [0.62, 0.14, 1.9])
     return index, 0.2 * index, state, random.integers(0, 256, (45, 45, 3), dtype=np.uint8)
 
 
 def hand_over(run, indices):
-    """Let a run have observations."""
+    """Pass observations to a run."""
     for index in indices:
         run.observe(*observation(index))
 
 
 @contextmanager
 def training(run):
-    """The time of a run with its training thread going -> Training; stopped and closed when the block ends."""
-    stop, told = threading.Event(), Training([], threading.Event(), [])
+    """Train a run in a thread -> Training; stopped and closed when the block ends."""
+    stop, output = threading.Event(), Training([], threading.Event(), [])
 
     def train():
         try:
-            run.train(stop, told.reports.append, told.finished.set)
+            run.train(stop, output.reports.append, output.finished.set)
         except Exception as error:
-            told.errors.append(error)
-            told.finished.set()
+            output.errors.append(error)
+            output.finished.set()
             if not isinstance(error, DivergenceError):
                 raise
 
     thread = threading.Thread(target=train)
     thread.start()
     try:
-        yield told
+        yield output
     finally:
         stop.set()
         run.wake()

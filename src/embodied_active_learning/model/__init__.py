@@ -1,1 +1,15 @@
-"""The conditional variational autoencoder, its objective, and the learner that trains it online."""
+"""The paper's model, a conditional variational autoencoder (CVAE), and its online training.
+
+From image to gradient, one update of `learner.Learner.update`:
+
+1. `batches.BatchReader.read` reads two mini-batches from the observation store.
+2. `schedule.Schedule` gives beta and gamma.
+3. `objective.LossFunction.compute_gradients` runs the forward and backward pass and fills each parameter's .grad:
+   `objective.PlainLoss` states the equations and uses autograd (reference, GPU); `native.loss.NativeLoss` computes the
+   same on compiled kernels (CPU).
+4. `optimiser.Optimiser.step` applies Adam.
+5. `replicas.Replicas.refresh` copies the weights for the planner's queries.
+
+`cvae` is the network, `inference` its forward passes without gradients, `metrics` the quality measures, `checkpoint`
+the stored state, `build` chooses device and implementation, `trained_model` serves fingerprinting and identification.
+"""

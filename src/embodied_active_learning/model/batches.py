@@ -1,68 +1,61 @@
-"""Mini-batches from the growing store of observations, on the device where the model lives."""
+"""Mini-batches from the growing store of observations."""
 
 from __future__ import annotations
 
-from typing import Optional, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 
-from embodied_active_learning.model.objective import Batch
+from embodied_active_learning.model.objective import Batch, Images
 
 
 class Observations(Protocol):
-    """What the learner needs of a store: rows are only ever appended, and the arrays may move when it grows."""
+    """Store of N observations. Rows are only appended; the arrays may be replaced when it grows."""
 
-    states: np.ndarray  # (N, D) float32, normalised
-    images: np.ndarray  # (N, H, W, 3) uint8
+    @property
+    def states(self) -> np.ndarray:
+        """(N, D) float32, normalised."""
+        ...
+
+    @property
+    def images(self) -> np.ndarray:
+        """(N, H, W, 3) uint8."""
+        ...
 
     def __len__(self) -> int:
-        """Number of observations N."""
+        """Return N."""
         ...
 
 
 class BatchReader:
-    """Gathers observations by index; with `keep`, images stay on the device so that a batch costs no transfer."""
+    """Reads observations by index: on the CPU without copying images, on a GPU from a cache on the device."""
 
-    def __init__(self, observations: Observations, device: torch.device, keep: bool) -> None:
+    def __init__(self, observations: Observations, device: torch.device) -> None:
         self._observations = observations
         self._device = device
-        self._keep = keep
-        self._buffer = np.empty(0, np.uint8)
-        self._cache: Optional[torch.Tensor] = None
+        self._copies = device.type != "cpu"
+        self._cache = torch.empty(0, dtype=torch.uint8)
         self._cached = 0
 
     def read(self, indices: np.ndarray) -> Batch:
-        """The observations of these indices (B,). The images are valid until the next call."""
-        states = np.asarray(self._observations.states[indices], dtype=np.float32)
+        """Return the observations with these indices (B,), on the device."""
+        states = self._observations.states[indices].astype(np.float32, copy=False)
         return Batch(torch.from_numpy(states).to(self._device), self._images(indices))
 
-    def read_in_place(self, indices: np.ndarray) -> Batch:
-        """The same with the images where they are stored, which costs nothing; on the CPU."""
-        stored = torch.from_numpy(self._observations.images)
-        states = np.asarray(self._observations.states[indices], dtype=np.float32)
-        return Batch(torch.from_numpy(states), [stored[index] for index in indices.tolist()])
-
-    def _images(self, indices: np.ndarray) -> torch.Tensor:
-        if not self._keep:
-            return torch.from_numpy(self._copy_to_buffer(indices)).to(self._device)
+    def _images(self, indices: np.ndarray) -> Images:
+        if not self._copies:
+            stored = torch.from_numpy(self._observations.images)
+            return [stored[index] for index in indices.tolist()]
         self._extend_cache(len(self._observations))
         return self._cache[torch.from_numpy(indices).to(self._device)]
 
-    def _copy_to_buffer(self, indices: np.ndarray) -> np.ndarray:
-        # One buffer for all batches: fresh memory of this size costs more in page faults than the copy itself.
-        images = self._observations.images
-        shape = (len(indices), *images.shape[1:])
-        if self._buffer.shape != shape:
-            self._buffer = np.empty(shape, np.uint8)
-        return np.take(images, indices, axis=0, out=self._buffer, mode="clip")
-
     def _extend_cache(self, count: int) -> None:
-        """Bring images [0, count) to the device, doubling the room when it is full."""
+        """Copy images [0, count) to the device, doubling the cache when it is full."""
         images = self._observations.images
-        if self._cache is None or len(self._cache) < count:
+        if len(self._cache) < count:
             grown = torch.empty((max(2 * count, 256), *images.shape[1:]), dtype=torch.uint8, device=self._device)
-            if self._cache is not None:
+            if self._cached:
                 grown[: self._cached] = self._cache[: self._cached]
             self._cache = grown
         if self._cached < count:

@@ -1,50 +1,85 @@
-"""The parts of a learner, made for a configuration and for the machine that it runs on."""
+"""Builds the parts of a learner for a configuration and a device."""
 
 from __future__ import annotations
 
+import logging
+
 import torch
+from torch.nn import functional
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.model.cvae import ConditionalVAE, initialise
-from embodied_active_learning.model.fast import fastest_loss
-from embodied_active_learning.model.inference import InferenceImages, TorchImages, fastest_images
-from embodied_active_learning.model.objective import Arithmetic, plain_loss
+from embodied_active_learning.model.inference import Inference, TorchInference, make_inference
+from embodied_active_learning.model.native.library import load_kernels
+from embodied_active_learning.model.native.loss import NativeLoss
+from embodied_active_learning.model.objective import LossFunction, PlainLoss
+
+LOG = logging.getLogger(__name__)
 
 
 def choose_device(name: str) -> torch.device:
-    """The device for "auto", "cpu" or "cuda". Raises ConfigError for cuda where there is none."""
-    available = torch.cuda.is_available()
-    if name == "cuda" and not available:
-        raise ConfigError("training/device is 'cuda' but torch sees no CUDA device here: use auto or cpu")
-    return torch.device("cuda" if available and name != "cpu" else "cpu")
+    """Return the device for "auto", "cpu" or "cuda"; "auto" takes a GPU that works, else the CPU.
+
+    Raises:
+        ConfigError: "cuda" was requested, and torch cannot compute on a GPU here.
+    """
+    if name == "cpu":
+        return torch.device("cpu")
+    if not torch.cuda.is_available():
+        if name == "cuda":
+            raise ConfigError("no CUDA device: torch finds none; set training/device: cpu")
+        return torch.device("cpu")
+    try:
+        check_device(torch.device("cuda"))
+    except RuntimeError as error:
+        reason = str(error).strip().partition("\n")[0]
+        if name == "cuda":
+            raise ConfigError(f"CUDA device unusable: {reason}; set training/device: cpu") from error
+        LOG.warning("CUDA device unusable: %s; training on the CPU (training/device: cpu avoids this check)", reason)
+        return torch.device("cpu")
+    return torch.device("cuda")
 
 
-def choose_arithmetic(network: ConditionalVAE, device: torch.device) -> Arithmetic:
-    """The fastest way to compute the loss on the device.
+def check_device(device: torch.device) -> None:
+    """Compute a small convolution and its gradient on a device.
 
-    On CUDA, where all convolutions of this process are set to be exact and deterministic.
+    Raises:
+        RuntimeError: The device exists but cannot compute, for example because torch has no kernels for it.
+    """
+    weight = torch.ones((1, 1, 3, 3), device=device, requires_grad=True)
+    functional.conv2d(torch.ones((1, 1, 8, 8), device=device), weight, stride=2).sum().backward()
+    gradient = weight.grad
+    if gradient is None or not bool((gradient.cpu() == 9.0).all()):
+        raise RuntimeError(f"wrong gradient of a convolution on {device}")
+
+
+def choose_loss(network: ConditionalVAE, device: torch.device) -> LossFunction:
+    """Return the fastest loss function on the device.
+
+    On CUDA, all convolutions of this process become deterministic and exact.
     """
     if device.type == "cpu":
-        return fastest_loss(network)
+        kernels, description = load_kernels()
+        return NativeLoss(network, kernels, description) if kernels else PlainLoss(description)
     if device.type == "cuda":
-        # By default some gradients of convolutions are summed in any order, and factors are rounded to 10 bits.
+        # By default, some gradients are summed in any order, and factors are rounded to 10 bits (TF32).
         torch.backends.cudnn.deterministic = True
         torch.backends.cudnn.benchmark = False
         torch.backends.cudnn.allow_tf32 = False
-    return Arithmetic(plain_loss, f"torch on {device}", torch.get_num_threads())
+    return PlainLoss(f"plain network on {device}")
 
 
-def choose_images(config: Config, device: torch.device) -> InferenceImages:
-    """The fastest way to ask the network on the device."""
+def choose_inference(config: Config, device: torch.device) -> Inference:
+    """Return the fastest inference on the device."""
     if device.type == "cpu":
-        return fastest_images((config.camera.height, config.camera.width), config.model)
-    return TorchImages()
+        return make_inference((config.camera.height, config.camera.width), config.model)
+    return TorchInference()
 
 
 def build_network(config: Config, seed: int) -> ConditionalVAE:
-    """The network of a run, initialised from the seed alone; on the CPU."""
-    # Made without memory first: the layers' own initialisation would draw from torch's global generator.
+    """Return the network of a run on the CPU, initialised from the seed alone."""
+    # Built without memory first: the layers' own initialisation would draw from torch's global generator.
     with torch.device("meta"):
         image_size = (config.camera.height, config.camera.width)
         network = ConditionalVAE(image_size, config.workspace.box().size, config.model)

@@ -1,89 +1,55 @@
-"""Network and optimiser as one flat dictionary of tensors, and back."""
+"""The learner's state as named tensors and plain counters, as checkpoints store it."""
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, Mapping
+from typing import Any, Dict, Iterable, Mapping, NamedTuple
 
 import torch
 
 from embodied_active_learning.errors import ConfigError, CorruptFileError
-from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.optimiser import Optimiser
+from embodied_active_learning.model.optimiser import copy_to_cpu
 
-MOMENTS = ("exp_avg", "exp_avg_sq")
 NETWORK = "network/"
-EARLIER = "earlier/"
+ADAM = "adam/"
+PREVIOUS = "earlier/"
+"""Prefixes of tensor names; PREVIOUS keeps the name that files of older versions have."""
+
+
+class LearnerState(NamedTuple):
+    """Everything that a resumed learner needs: tensors on the CPU, and counters that JSON can hold."""
+
+    tensors: Dict[str, torch.Tensor]
+    counters: Dict[str, Any]
+
+
+def add_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
+    """Return copies of the tensors on the CPU, with prefixed names."""
+    return {prefix + name: copy_to_cpu(tensor) for name, tensor in tensors.items()}
+
+
+def with_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
+    """Return the tensors whose names have the prefix, without it."""
+    return {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
 def network_weights(tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
-    """The network's weights among packed tensors, by the network's own names."""
-    return _unprefixed(tensors, NETWORK)
+    """Return the network's weights among a checkpoint's tensors, by the network's own names."""
+    return with_prefix(NETWORK, tensors)
 
 
-def earlier_weights(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE) -> Dict[str, torch.Tensor]:
-    """The weights of an earlier model among packed tensors, by the network's own names; empty when there are none.
-
-    Raises ConfigError naming a tensor of another shape, CorruptFileError a missing one.
-    """
-    found = _unprefixed(tensors, EARLIER)
-    if found:
-        _check(found, dict(network.named_parameters()))
-    return found
-
-
-def pack_earlier(weights: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
-    """Copies of an earlier model's weights ("earlier/..."), on the CPU."""
-    return {f"{EARLIER}{name}": _copy(tensor) for name, tensor in weights.items()}
-
-
-def pack(network: ConditionalVAE, optimiser: Optimiser) -> Dict[str, torch.Tensor]:
-    """Copies of the weights ("network/..."), Adam's moments ("adam/<moment>/...") and its step count, on the CPU."""
-    tensors = {"adam/step": torch.zeros(())}
-    state = optimiser.state
-    for name, parameter in network.named_parameters():
-        tensors[f"{NETWORK}{name}"] = _copy(parameter)
-        moments = state.get(parameter, {})
-        for moment in MOMENTS:
-            tensors[f"adam/{moment}/{name}"] = _copy(moments.get(moment, torch.zeros_like(parameter)))
-        tensors["adam/step"] = _copy(moments.get("step", tensors["adam/step"]))
-    return tensors
-
-
-def unpack(tensors: Mapping[str, torch.Tensor], network: ConditionalVAE, optimiser: Optimiser) -> None:
-    """Put packed tensors back. Raises ConfigError naming a tensor of another shape, CorruptFileError a missing one."""
-    _check(tensors, pack(network, optimiser))
-    names = {parameter: name for name, parameter in network.named_parameters()}
-    network.load_state_dict({name: tensors[f"{NETWORK}{name}"] for name in names.values()})
-    for part in optimiser.parts:
-        groups = part.state_dict()["param_groups"]
-        own = [names[parameter] for group in part.param_groups for parameter in group["params"]]
-        moments = [{moment: tensors[f"adam/{moment}/{name}"].clone() for moment in MOMENTS} for name in own]
-        state = {index: {"step": tensors["adam/step"].clone(), **pair} for index, pair in enumerate(moments)}
-        part.load_state_dict({"state": state, "param_groups": groups})
-
-
-def require(found: Mapping[str, Any], keys: Iterable[str]) -> None:
-    """Raise CorruptFileError naming the first key that is not found."""
+def require_keys(mapping: Mapping[str, Any], keys: Iterable[str]) -> None:
+    """Raise CorruptFileError for the first missing key."""
     for key in keys:
-        if key not in found:
-            raise CorruptFileError(
-                f"checkpoint lacks {key}: it was not written by this version of the package; delete it"
-            )
+        if key not in mapping:
+            raise CorruptFileError(f"incomplete checkpoint: {key} is missing; delete the file")
 
 
-def _check(tensors: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]) -> None:
-    require(tensors, expected)
+def require_shapes(tensors: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]) -> None:
+    """Raise CorruptFileError for a missing tensor, ConfigError for one of another shape than expected."""
+    require_keys(tensors, expected)
     for key, tensor in expected.items():
         if tensors[key].shape != tensor.shape:
             raise ConfigError(
-                f"checkpoint holds {key} as {tuple(tensors[key].shape)}, this configuration makes it"
-                f" {tuple(tensor.shape)}: use the configuration that the session was recorded with"
+                f"checkpoint of another model: {key} is {tuple(tensors[key].shape)}, this configuration needs"
+                f" {tuple(tensor.shape)}; use the configuration that the session was recorded with"
             )
-
-
-def _unprefixed(tensors: Mapping[str, torch.Tensor], prefix: str) -> Dict[str, torch.Tensor]:
-    return {key[len(prefix) :]: tensor for key, tensor in tensors.items() if key.startswith(prefix)}
-
-
-def _copy(tensor: torch.Tensor) -> torch.Tensor:
-    return tensor.detach().to("cpu", copy=True).contiguous()

@@ -1,4 +1,4 @@
-"""The conditional variational autoencoder: image at a state -> latents -> image at any state (paper, Table 2)."""
+"""The conditional variational autoencoder: image at a state -> latents -> image at any state. Paper, Table 2."""
 
 from __future__ import annotations
 
@@ -31,45 +31,54 @@ class LatentGaussian(NamedTuple):
         return torch.exp(0.5 * self.log_variance)
 
 
-def limited(logarithm: torch.Tensor) -> torch.Tensor:
-    """A log std or log variance as the network gives it, within limits that keep its exponential sane."""
+def clamped(logarithm: torch.Tensor) -> torch.Tensor:
+    """Clamp a log std or log variance to LOG_LIMITS, which keeps its exponential finite."""
     return logarithm.clamp(*LOG_LIMITS)
 
 
-def is_within_limits(logarithm: torch.Tensor) -> torch.Tensor:
-    """Where the slope of limited() is one and not zero."""
+def clamp_mask(logarithm: torch.Tensor) -> torch.Tensor:
+    """Return the derivative of clamped(), as booleans."""
     return (logarithm >= LOG_LIMITS[0]) & (logarithm <= LOG_LIMITS[1])
 
 
 def latent_gaussian(outputs: torch.Tensor) -> LatentGaussian:
-    """The encoder's outputs (B, 2 L) as means and log variances."""
+    """Split the encoder's outputs (B, 2 L) into means and log variances."""
     mean, log_variance = outputs.chunk(2, dim=1)
-    return LatentGaussian(mean, limited(log_variance))
+    return LatentGaussian(mean, clamped(log_variance))
 
 
 def convolution_sizes(image_size: Size, config: ModelConfig) -> List[Size]:
-    """(height, width) of the image and behind each convolution. Raises ConfigError for an image that is too small."""
+    """Return (height, width) of the image and of each convolution's output.
+
+    Raises:
+        ConfigError: The image is too small for the convolutions.
+    """
     sizes = [(int(image_size[0]), int(image_size[1]))]
     for index, (kernel, stride) in enumerate(zip(config.kernels, config.strides)):
         if min(sizes[-1]) < kernel:
             raise ConfigError(
-                f"camera/height x camera/width = {image_size[0]} x {image_size[1]} is too small for the model:"
-                f" {sizes[-1][0]} x {sizes[-1][1]} reach convolution {index + 1}, whose kernel is {kernel};"
-                " enlarge the image or change model/kernels and model/strides"
+                f"image too small for the model: camera/height x camera/width = {image_size[0]} x {image_size[1]} gives"
+                f" {sizes[-1][0]} x {sizes[-1][1]} for convolution {index + 1}, whose kernel is {kernel}; enlarge the"
+                " image or change model/kernels and model/strides"
             )
-        sizes.append(tuple((length - kernel) // stride + 1 for length in sizes[-1]))
+        height, width = sizes[-1]
+        sizes.append(((height - kernel) // stride + 1, (width - kernel) // stride + 1))
     return sizes
 
 
 def float_images(images: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-    """Stored images (B, H, W, 3) uint8 -> (B, 3, H, W) in [0, 1], channels innermost in memory."""
+    """Convert images (B, H, W, 3) uint8 to (B, 3, H, W) in [0, 1], channels last in memory."""
     return images.permute(0, 3, 1, 2).to(dtype).div_(255.0)
 
 
 class ConditionalVAE(nn.Module):
-    """CVAE with one observation log std per image. 4,309,220 parameters for 180 x 180 images and 3 states.
+    """CVAE with one observation log std per image: encoder q(z | x, y), decoder p(y | z, x). Paper, Sec. 3 and Table 2.
 
-    image_size: (height, width) in pixels; state_size: number of normalised state dimensions D.
+    4,309,220 parameters for 180 x 180 images and 3 states.
+
+    Args:
+        image_size: (height, width) in pixels.
+        state_size: Number D of normalised state dimensions.
     """
 
     def __init__(self, image_size: Size, state_size: int, config: ModelConfig) -> None:
@@ -88,33 +97,33 @@ class ConditionalVAE(nn.Module):
         self.image_decoder = _image_decoder(config, sizes)
 
     def encode(self, states: torch.Tensor, images: torch.Tensor) -> LatentGaussian:
-        """q(z | x, y). states: (B, D) normalised, images: (B, H, W, 3) uint8 -> mean and log variance, (B, L) each."""
+        """Return q(z | x, y), (B, L), of images y (B, H, W, 3) uint8 at states x (B, D) normalised."""
         return self.encode_features(states, self.image_features(images))
 
     def image_features(self, images: torch.Tensor) -> torch.Tensor:
-        """The part of the encoder that sees the image alone. images: (B, H, W, 3) uint8 -> (B, F)."""
+        """Return image features (B, F), which do not depend on the state, of images (B, H, W, 3) uint8."""
         return self.image_encoder(float_images(images, self.encoder[0].weight.dtype)).flatten(1)
 
     def encode_features(
         self, states: torch.Tensor, features: torch.Tensor, linear: Linear = nn.Linear.__call__
     ) -> LatentGaussian:
-        """q(z | x, y) from image features (B, F), or (1, F) shared by all states (B, D) -> (B, L) each.
+        """Return q(z | x, y), (B, L), at states (B, D) from image features (B, F), or (1, F) for all states.
 
-        linear: how a layer is applied to its inputs.
+        linear: Applies a layer to its inputs.
         """
         first = _first_layer(self.encoder[0], features, states, linear)
         return latent_gaussian(_run(self.encoder[1:], first, linear))
 
     def decode(self, latents: torch.Tensor, states: torch.Tensor) -> Tuple[torch.Tensor, torch.Tensor]:
-        """p(y | z, x). latents: (B, L), states: (B, D) -> mean image (B, 3, H, W) in [0, 1] units, log std (B,)."""
+        """Return mean image (B, 3, H, W) and log std (B,) of p(y | z, x), for latents (B, L) and states (B, D)."""
         log_std, features = self.decode_features(latents, states)
         return self.image_decoder(features.unflatten(1, self.feature_shape)), log_std
 
-    def start_at(self, colour: torch.Tensor) -> None:
-        """Let the decoder begin around a colour (3,) in [0, 1]: the bias of its last layer.
+    def set_initial_colour(self, colour: torch.Tensor) -> None:
+        """Set the bias of the decoder's last layer to a colour (3,) in [0, 1].
 
-        From black, the first hundreds of updates go into the images' brightness, and objects may share one colour for
-        thousands more.
+        From black, the first hundreds of updates only learn the images' brightness, and objects may share one colour
+        for thousands more.
         """
         with torch.no_grad():
             self.image_decoder[-1].bias.copy_(colour)
@@ -122,30 +131,30 @@ class ConditionalVAE(nn.Module):
     def decode_features(
         self, latents: torch.Tensor, states: torch.Tensor, linear: Linear = nn.Linear.__call__
     ) -> Tuple[torch.Tensor, torch.Tensor]:
-        """The decoder before the image. latents: (B, L), states: (B, D) -> log std (B,), features (B, F).
+        """Return log std (B,) and the image decoder's input (B, F), for latents (B, L) and states (B, D).
 
-        linear: how a layer is applied to its inputs.
+        linear: Applies a layer to its inputs.
         """
         outputs = _run(self.decoder, torch.cat((latents, states), dim=1), linear)
-        return limited(outputs[:, 0]), outputs[:, 1:]
+        return clamped(outputs[:, 0]), outputs[:, 1:]
 
     def log_std(self, latents: torch.Tensor, states: torch.Tensor) -> torch.Tensor:
-        """Log standard deviation of p(y | z, s) at states (S, D), for latents (S, L) or one (1, L) or (L,) -> (S,).
+        """Return the log std (S,) of p(y | z, s) at states s (S, D), for latents (S, L), (1, L) or (L,).
 
-        Leaves out the image and the 3920 outputs that lead to it: conditional entropy needs this number alone.
+        Skips the image and the F outputs that lead to it: the conditional entropy (Paper, Eq. 29) needs the std only.
         """
         hidden = _first_layer(self.decoder[0], latents.reshape(-1, self.latent_size), states)
         hidden = self.decoder[1:-1](hidden)
         head = self.decoder[-1]
-        return limited(functional.linear(hidden, head.weight[:1], head.bias[:1])[:, 0])
+        return clamped(functional.linear(hidden, head.weight[:1], head.bias[:1])[:, 0])
 
 
 def initialise(network: nn.Module, generator: torch.Generator) -> None:
-    """PyTorch's default initialisation, U(-1/sqrt(fan_in), 1/sqrt(fan_in)), from a generator of our own."""
+    """Apply PyTorch's default initialisation, U(-1/sqrt(fan_in), 1/sqrt(fan_in)), from a given generator."""
     with torch.no_grad():
         for layer in network.modules():
             if isinstance(layer, (nn.Linear, nn.Conv2d, nn.ConvTranspose2d)):
-                # PyTorch takes the second dimension as the inputs, also of transposed convolutions, where it is not.
+                # As PyTorch does, which takes dimension 1 for the inputs of transposed convolutions as well.
                 bound = 1.0 / math.sqrt(layer.weight[0].numel())
                 layer.weight.uniform_(-bound, bound, generator=generator)
                 layer.bias.uniform_(-bound, bound, generator=generator)
@@ -160,7 +169,7 @@ def _run(layers: nn.Sequential, inputs: torch.Tensor, linear: Linear) -> torch.T
 def _first_layer(
     layer: nn.Linear, shared: torch.Tensor, states: torch.Tensor, linear: Linear = nn.Linear.__call__
 ) -> torch.Tensor:
-    """layer([shared, states]) without repeating one shared row (1, F) for every state (B, D). -> (B, O)."""
+    """Return layer([shared, states]) (B, O) without repeating a single shared row (1, F) for each state (B, D)."""
     if len(shared) == len(states):
         return linear(layer, torch.cat((shared, states), dim=1))
     width = shared.shape[1]
@@ -185,7 +194,7 @@ def _image_encoder(config: ModelConfig) -> nn.Sequential:
 
 
 def _image_decoder(config: ModelConfig, sizes: List[Size]) -> nn.Sequential:
-    """The encoder mirrored; the output padding makes each stage as large as what the encoder's stage was given."""
+    """Mirror the encoder; output padding makes each output as large as the corresponding input of the encoder."""
     channels = (IMAGE_CHANNELS, *config.channels)
     layers: List[nn.Module] = []
     for index in reversed(range(len(config.kernels))):

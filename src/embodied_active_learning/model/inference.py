@@ -1,110 +1,112 @@
-"""A network that is only asked, for features, images and large layers: no gradients, so nothing is kept for them."""
+"""Forward passes without gradients: image features, decoded images and reconstruction errors."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Union
+from typing import List, Protocol
 
 import torch
 from torch import nn
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.cvae import ConditionalVAE, Size
-from embodied_active_learning.model.native.convolutions import NativeImages
-from embodied_active_learning.model.native.kernels import Kernels
-from embodied_active_learning.model.native.library import load_library
+from embodied_active_learning.model.native.convolutions import NativeConvolutions
+from embodied_active_learning.model.native.library import load_kernels
+from embodied_active_learning.model.objective import Images
 
 CHUNK = 64
-"""Images that torch takes at a time, so that what lies between the layers stays small."""
+"""Images per forward pass of torch, which limits the memory of the activations."""
 
 
-class TorchImages:
-    """What the network itself computes: for machines without a compiler."""
+class Inference(Protocol):
+    """Forward passes of networks of one geometry. images: B images (H, W, 3) uint8; F features."""
 
-    def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
-        """Images (B, H, W, 3) uint8 -> features (B, F)."""
-        return torch.cat([network.image_features(part) for part in images.split(CHUNK)])
+    def encode(self, network: ConditionalVAE, images: Images) -> torch.Tensor:
+        """Return the image features (B, F)."""
+        ...
 
     def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
-        """Features (B, F) -> images (B, H, W, 3)."""
+        """Return the images (B, H, W, 3) decoded from features (B, F)."""
+        ...
+
+    def errors(self, network: ConditionalVAE, features: torch.Tensor, images: Images) -> torch.Tensor:
+        """Return the mean squared error (B,) of the images decoded from features (B, F)."""
+        ...
+
+    def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
+        """Return layer(inputs): (B, I) -> (B, O)."""
+        ...
+
+
+class TorchInference:
+    """Forward passes of the network itself: on a GPU, and on the CPU without compiled kernels."""
+
+    def encode(self, network: ConditionalVAE, images: Images) -> torch.Tensor:
+        """See Inference."""
+        return torch.cat([network.image_features(part) for part in _chunks(images)])
+
+    def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
+        """See Inference."""
         parts = features.unflatten(1, network.feature_shape).split(CHUNK)
         return torch.cat([network.image_decoder(part) for part in parts]).permute(0, 2, 3, 1)
 
-    def errors(self, network: ConditionalVAE, features: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
-        """Mean squared error (B,) of what is decoded from each of the features (B, F); images: (B, H, W, 3) uint8."""
-        pairs = zip(features.split(CHUNK), images.split(CHUNK))
-        found = [self.decode(network, part).sub_(seen / 255.0).square_().mean(dim=(1, 2, 3)) for part, seen in pairs]
-        return torch.cat(found)
+    def errors(self, network: ConditionalVAE, features: torch.Tensor, images: Images) -> torch.Tensor:
+        """See Inference."""
+        pairs = zip(features.split(CHUNK), _chunks(images))
+        differences = (self.decode(network, part).sub_(target / 255.0) for part, target in pairs)
+        return torch.cat([difference.square_().mean(dim=(1, 2, 3)) for difference in differences])
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
-        """layer(inputs), inputs (B, I) -> (B, O)."""
+        """See Inference."""
         return layer(inputs)
 
 
-class CompiledImages:
-    """The same on the compiled kernels, equal to 1e-5; each thread has room for one group of images, and no more."""
+class NativeInference:
+    """Forward passes on the compiled kernels, equal to torch's within 1e-5. Safe to use from any thread."""
 
-    def __init__(self, native: NativeImages) -> None:
-        """native: for the geometry of the networks that will be asked."""
-        self._native = native
+    def __init__(self, convolutions: NativeConvolutions) -> None:
+        self.convolutions = convolutions
 
-    def features(self, network: ConditionalVAE, images: torch.Tensor) -> torch.Tensor:
-        """Images (B, H, W, 3) uint8 -> features (B, F)."""
-        native, images = self._native, images.contiguous()
-        chain, found = native.encoder_chain(network), torch.empty((len(images), native.feature_size))
-
-        def encode(_: int, members: slice) -> None:
-            room = native.borrow(native.inwards)
-            native.kernels.encode(chain, images[members], room, found[members])
-            native.give_back(room, native.inwards)
-
-        native.for_each_group(len(images), encode)
-        return found
+    def encode(self, network: ConditionalVAE, images: Images) -> torch.Tensor:
+        """See Inference."""
+        return self.convolutions.encode(network, images)
 
     def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
-        """Features (B, F) -> images (B, H, W, 3)."""
-        native, chain = self._native, self._native.decoder_chain(network)
-        channels, *size = native.layers[0].wide
-        images, all_sides = torch.empty((len(features), *size, channels)), range(len(native.layers) + 1)
+        """See Inference."""
+        return self.convolutions.decode(network, features)
 
-        def decode(_: int, members: slice) -> None:
-            room = native.borrow(all_sides)
-            native.kernels.decode(chain, features[members], room)
-            shown = images[members].numpy()
-            shown[:] = room.tensors[0].numpy().transpose(3, 1, 2, 0)[: len(shown)]
-            native.give_back(room, all_sides)
-
-        native.for_each_group(len(images), decode)
-        return images
-
-    def errors(self, network: ConditionalVAE, features: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
-        """Mean squared error (B,) of what is decoded from each of the features (B, F); images: (B, H, W, 3) uint8."""
-        # Its gradients cost less than to take decoded images out of their groups, and to compare them outside.
-        slopes = torch.empty_like(features).t()
-        return self._native.reconstruct(network, features.t(), images, torch.ones(len(features)), slopes).each
+    def errors(self, network: ConditionalVAE, features: torch.Tensor, images: Images) -> torch.Tensor:
+        """See Inference."""
+        # Computing unused gradients costs less than copying decoded images out of their groups.
+        gradient = torch.empty_like(features).t()
+        weights = torch.ones(len(features))
+        return self.convolutions.reconstruct(network, features.t(), images, weights, gradient).errors
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
-        """layer(inputs), inputs (B, I) -> (B, O)."""
-        return self._native.linear(layer, inputs)
+        """See Inference."""
+        return self.convolutions.linear(layer, inputs)
 
 
-InferenceImages = Union[TorchImages, CompiledImages]
+def make_inference(image_size: Size, config: ModelConfig) -> Inference:
+    """Return the fastest inference on the CPU for networks of a geometry.
 
-
-def fastest_images(image_size: Size, config: ModelConfig) -> InferenceImages:
-    """The fastest that this machine has for networks of a geometry; load_library tells what that is, and why.
-
-    All networks of that geometry share its threads and its memory: an identification may ask dozens of them.
+    All networks of that geometry share its threads and memory: an identification may use dozens of them.
     """
-    return _fastest_images(image_size, config, torch.get_num_threads())
+    return _make_inference(image_size, config, torch.get_num_threads())
 
 
 @lru_cache(maxsize=4)
-def _fastest_images(image_size: Size, config: ModelConfig, _threads: int) -> InferenceImages:
-    """_threads: how many it will take from torch; when that number was changed, it is made anew."""
-    library, _ = load_library()
-    if library is None:
-        return TorchImages()
+def _make_inference(image_size: Size, config: ModelConfig, _threads: int) -> Inference:
+    """_threads is part of the cache's key, because NativeConvolutions takes over torch's number of threads."""
+    kernels = load_kernels().kernels
+    if kernels is None:
+        return TorchInference()
     with torch.device("meta"):
-        geometry = ConditionalVAE(image_size, 0, config)  # numbers are not needed, and take a while to be drawn
-    return CompiledImages(NativeImages(geometry, Kernels(library)))
+        geometry = ConditionalVAE(image_size, 0, config)  # its weights are not used
+    return NativeInference(NativeConvolutions(geometry, kernels))
+
+
+def _chunks(images: Images) -> List[torch.Tensor]:
+    """Split images into tensors (<= CHUNK, H, W, 3)."""
+    parts = (images[first : first + CHUNK] for first in range(0, len(images), CHUNK))
+    return [part if isinstance(part, torch.Tensor) else torch.stack(list(part)) for part in parts]

@@ -1,9 +1,9 @@
-"""The learner: one network, its optimiser and its schedule, trained online on a growing store of observations."""
+"""The learner: trains the network online on a growing store of observations. Paper, Alg. 1, lines 12 to 14."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, Optional
 
 import numpy as np
 import torch
@@ -11,33 +11,38 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.kernel import CoverageKernel, workspace_coverage
-from embodied_active_learning.model import checkpoint
 from embodied_active_learning.model.batches import BatchReader, Observations
-from embodied_active_learning.model.build import (
-    build_network,
-    choose_arithmetic,
-    choose_device,
-    choose_images,
+from embodied_active_learning.model.build import build_network, choose_device, choose_inference, choose_loss
+from embodied_active_learning.model.checkpoint import (
+    ADAM,
+    NETWORK,
+    PREVIOUS,
+    LearnerState,
+    add_prefix,
+    require_keys,
+    require_shapes,
+    with_prefix,
 )
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.metrics import Evaluation, active_units, evaluate_model
-from embodied_active_learning.model.objective import Arithmetic, Loss
+from embodied_active_learning.model.objective import LossFunction, LossTerms
 from embodied_active_learning.model.optimiser import Optimiser
 from embodied_active_learning.model.replicas import Replicas
 from embodied_active_learning.model.schedule import Schedule
 
-ATTEMPTS = 5  # batches tried for one update before a loss that is not finite counts as divergence
+ATTEMPTS = 5  # batches tried for one update before a non-finite loss counts as divergence
+BATCHES_STREAM, STATES_STREAM, SUBSET_STREAM = 201, 202, 203  # of random numbers, for SeedSequence
 
 
 class DivergenceError(EmbodiedActiveLearningError):
-    """The loss or its gradient stayed non-finite for several batches in a row."""
+    """The loss or its gradient was not finite for several batches in a row."""
 
 
 @dataclass(frozen=True)
 class UpdateReport:
-    """One update: the loss with its terms, the weights it used, and what the minibatch's latents look like.
+    """One update: the loss, its terms and weights, and the active units of the mini-batch.
 
-    log_std_min, log_std_max and coverage are of the latest evaluation of the schedule.
+    coverage, log_std_min and log_std_max are from the latest evaluation of the schedule.
     """
 
     update: int
@@ -55,88 +60,95 @@ class UpdateReport:
 
 
 class Learner:
-    """Trains the network (paper, Alg. 1, lines 12-14). Draws only from its own generators, seeded from the seed.
+    """Network, optimiser and schedule of one run. Draws random numbers only from generators of its own.
 
-    One thread may call its methods; `snapshots` may be asked from any thread.
+    One thread may call the methods; `replicas` may be used from any thread.
     """
 
     def __init__(
-        self, config: Config, observations: Observations, seed: int, loss: Optional[Callable[..., Loss]] = None
+        self, config: Config, observations: Observations, seed: int, loss: Optional[LossFunction] = None
     ) -> None:
-        """Build the network and the optimiser. Raises ConfigError for a device that is not there.
+        """Build network and optimiser.
 
-        loss: plain_loss or a stand-in for it; None takes the fastest for the device.
+        Args:
+            config: Of the run.
+            observations: Store that grows while the run explores.
+            seed: Of all random draws.
+            loss: Default: the fastest on the device.
+
+        Raises:
+            ConfigError: The configured device is not usable.
         """
         self._config = config
         self._observations = observations
         self._seed = seed
         self._device = choose_device(config.training.device)
-        weights_seed, batches_seed = np.random.SeedSequence([seed, 201]).spawn(2)
+        weights_seed, batches_seed = np.random.SeedSequence([seed, BATCHES_STREAM]).spawn(2)
         self._random = np.random.default_rng(batches_seed)
         self._network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
         self._optimiser = Optimiser(self._network, config.training.learning_rate)
-        if loss is None:
-            self.arithmetic = choose_arithmetic(self._network, self._device)
-        else:
-            self.arithmetic = Arithmetic(loss, "as given", torch.get_num_threads())
-        self._reader = BatchReader(observations, self._device, keep=self._device.type != "cpu")
+        self.loss = choose_loss(self._network, self._device) if loss is None else loss
+        self._reader = BatchReader(observations, self._device)
         self._variance = CoverageKernel.from_config(config).variance
         self.schedule = Schedule(config.objective)
         self.updates = 0
         self.skipped = 0
         self.rollbacks = 0
-        self._images = choose_images(config, self._device)
-        self.snapshots = Replicas(self.network, self._images)
+        self._inference = choose_inference(config, self._device)
+        self.replicas = Replicas(self.network, self._inference)
 
     @property
     def network(self) -> ConditionalVAE:
-        """The network after the last update. Only the thread that trains may ask for it."""
-        self.settle()
+        """The network after the last update; for the training thread only."""
+        self.join()
         return self._network
 
     def update(self) -> UpdateReport:
-        """One step of Adam on two fresh batches. Raises DivergenceError after five non-finite losses or gradients.
+        """Take one step of Adam on two fresh batches. Paper, Alg. 1, lines 12 to 14.
 
-        Only the observations that the update needs are looked at (see Config.observations_needed), however many there
-        are by now: one sequence of observations gives one result.
+        Uses only the observations that this update is entitled to (Config.observations_needed), even if more are
+        stored, so that the result depends on the sequence of observations alone.
+
+        Raises:
+            DivergenceError: Five losses or gradients in a row were not finite.
         """
         count = self._count(self.updates)
         if self.updates == 0 and self._config.training.start_at_mean_colour:
-            self.network.start_at(self._mean_colour(count))
+            self.network.set_initial_colour(self._mean_colour(count))
         if self.updates % self._config.objective.schedule_every == 0:
             self._evaluate_schedule(count)
         beta, gamma = self.schedule.beta, self.schedule.gamma
-        loss = self._attempt(count, beta, gamma)
+        terms = self._step(count, beta, gamma)
         self.updates += 1
         return UpdateReport(
             update=self.updates,
             observations=count,
-            loss=float(loss.total),
-            reconstruction=float(loss.reconstruction),
-            conditional_reconstruction=float(loss.conditional_reconstruction),
-            kl=float(loss.kl),
+            loss=float(terms.total),
+            reconstruction=float(terms.reconstruction),
+            conditional_reconstruction=float(terms.conditional_reconstruction),
+            kl=float(terms.kl),
             beta=beta,
             gamma=gamma,
             coverage=self.schedule.coverage,
-            active_units=active_units(loss.latent_means, self._config.training.active_unit_threshold),
+            active_units=active_units(terms.latent_means, self._config.training.active_unit_threshold),
             log_std_min=self.schedule.log_std_min,
             log_std_max=self.schedule.log_std_max,
         )
 
     def evaluate(self) -> Evaluation:
-        """The model on a fixed subset of the observations, and over the workspace with the newest one's latent.
+        """Evaluate the model on a fixed subset, and its log std over the workspace for the newest latent.
 
-        Which `evaluation_size` of the run's `exploration.steps` observations make up the subset follows from the seed.
-        Those that the last update could see are used, so that the subset only grows until it is complete; where they
-        are fewer than two, the newest two stand in. Draws nothing from the training's generator, so that looking does
-        not change the run.
+        The subset, `evaluation_size` of the run's `exploration.steps` observations, follows from the seed. Members that
+        the last update could not use yet are left out; if fewer than two remain, the newest two observations are used.
+        Does not draw from the training's generator, so that evaluations do not change the run.
         """
         count = self._count(max(0, self.updates - 1))
         subset = self._reader.read(self._evaluation_indices(count))
-        random = np.random.default_rng(np.random.SeedSequence([self._seed, 202]))
+        random = np.random.default_rng(np.random.SeedSequence([self._seed, STATES_STREAM]))
         with torch.no_grad():
             log_std = self._log_std_over(self._workspace_states(random), count)
-            measured = evaluate_model(self.network, self._images, subset, self._config.training.active_unit_threshold)
+            threshold = self._config.training.active_unit_threshold
+            measured = evaluate_model(self.network, self._inference, subset, threshold)
         return Evaluation(
             update=self.updates,
             observations=count,
@@ -146,115 +158,120 @@ class Learner:
         )
 
     def refresh(self) -> None:
-        """Let the snapshots answer from the model as it is now; waits for those who still read the one before last."""
-        self.refresh_meanwhile(lambda: None)
-        self.settle()
+        """Copy the network to the older replica; waits for its readers."""
+        self.refresh_async(lambda: None)
+        self.join()
 
-    def refresh_meanwhile(self, then: Callable[[], None]) -> None:
-        """The same in the background, while the next update begins. then: called from there as soon as it is so."""
+    def refresh_async(self, on_done: Callable[[], None]) -> None:
+        """Refresh in the background while the next update begins. on_done: called in that thread afterwards."""
         weights, updates = dict(self._network.named_parameters()), self.updates
 
-        def take() -> None:
-            self.snapshots.take(weights, updates)
-            then()
+        def refresh() -> None:
+            self.replicas.refresh(weights, updates)
+            on_done()
 
-        self._optimiser.afterwards(take)
+        self._optimiser.run_after_step(refresh)
 
-    def settle(self) -> None:
-        """Return when nothing is going on in the background any more. Raises what went wrong there."""
-        self._optimiser.settle()
+    def join(self) -> None:
+        """Wait for all background work. Raises its first error."""
+        self._optimiser.join()
 
-    def state(self) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
-        """Copies of all that a continued run needs: tensors on the CPU, and plain numbers that JSON can hold.
+    def state_dict(self) -> LearnerState:
+        """Return a copy of the state: weights, moments, counters, schedule and random generator.
 
-        The model before the newest is among them, because it may be the one that is asked for next.
+        Includes the model before the newest, because the planner may ask for that next.
         """
-        self.settle()
-        counters = {
+        self.join()
+        counters: Dict[str, Any] = {
             "updates": self.updates,
             "skipped": self.skipped,
             "rollbacks": self.rollbacks,
-            "snapshot_updates": self.snapshots.updates,
+            "snapshot_updates": self.replicas.updates,
             "schedule": self.schedule.state_dict(),
             "generator": self._random.bit_generator.state,
         }
-        tensors = checkpoint.pack(self._network, self._optimiser)
-        earlier = self.snapshots.weights_before(self.updates)
-        if earlier is not None:
-            weights, counters["earlier_updates"] = earlier
-            tensors.update(checkpoint.pack_earlier(weights))
-        return tensors, counters
+        tensors = add_prefix(NETWORK, dict(self._network.named_parameters()))
+        tensors.update(add_prefix(ADAM, self._optimiser.state_dict()))
+        previous = self.replicas.weights_before(self.updates)
+        if previous is not None:
+            weights, counters["earlier_updates"] = previous
+            tensors.update(add_prefix(PREVIOUS, weights))
+        return LearnerState(tensors, counters)
 
-    def restore(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
-        """Go on from state(), as if there had been no interruption.
+    def load_state_dict(self, state: LearnerState) -> None:
+        """Restore state_dict(), so that training continues as if it had not been interrupted.
 
-        Raises ConfigError if it is of another model, CorruptFileError for counters that are none.
+        Raises:
+            ConfigError: The state is of another model.
+            CorruptFileError: A tensor or counter is missing or invalid.
         """
-        checkpoint.require(counters, ("updates", "skipped", "schedule", "generator"))
-        earlier = checkpoint.earlier_weights(tensors, self.network)
-        checkpoint.unpack(tensors, self.network, self._optimiser)
+        tensors, counters = state
+        require_keys(counters, ("updates", "skipped", "schedule", "generator"))
+        current = self.state_dict().tensors
+        require_shapes(tensors, {name: current[name] for name in current if not name.startswith(PREVIOUS)})
+        previous = with_prefix(PREVIOUS, tensors)
+        if previous:
+            require_shapes(previous, dict(self.network.named_parameters()))
+        self.network.load_state_dict(with_prefix(NETWORK, tensors))
+        self._optimiser.load_state_dict(with_prefix(ADAM, tensors))
         try:
-            self._restore_counters(counters)
-            earlier_updates = int(counters["earlier_updates"]) if earlier else 0
-            snapshot_updates = int(counters.get("snapshot_updates", self.updates))
-        except (KeyError, TypeError, ValueError) as error:
+            self._load_counters(counters)
+            previous_updates = int(counters["earlier_updates"]) if previous else 0
+            replica_updates = int(counters.get("snapshot_updates", self.updates))
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise CorruptFileError(
-                f"checkpoint has counters that cannot be used ({error!r}): it was not written by this version of the "
-                "package; delete it"
+                f"invalid counters in the checkpoint: {error!r}; delete the file to use an older one"
             ) from error
-        if earlier:
-            self.snapshots.take(earlier, earlier_updates)
-        # A model between two refreshes answered nobody, and must not push out the one that is asked for.
-        if snapshot_updates == self.updates:
+        if previous:
+            self.replicas.refresh(previous, previous_updates)
+        # A model between two refreshes has answered no query and must not replace the one that is asked for.
+        if replica_updates == self.updates:
             self.refresh()
 
-    def roll_back(self, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any]) -> None:
-        """Go back to state() of a good model, and on from there with other random draws than before.
+    def rollback(self, state: LearnerState) -> None:
+        """Return to the state of a good model and continue with other random draws. Raises as load_state_dict.
 
-        What was skipped and how often it was rolled back is not forgotten. Raises as restore does.
+        The counts of skipped batches and rollbacks are kept.
         """
         skipped, rollbacks = self.skipped, self.rollbacks + 1
-        self.restore(tensors, counters)
+        self.load_state_dict(state)
         self.skipped, self.rollbacks = skipped, rollbacks
-        if self.snapshots.updates > self.updates:
-            self.refresh()  # what was gone back from does not answer any more
-        self._random = np.random.Generator(self._random.bit_generator.jumped(rollbacks))
+        if self.replicas.updates > self.updates:
+            self.refresh()  # replaces the diverged model
+        generator = np.random.PCG64()
+        generator.state = self._random.bit_generator.state
+        self._random = np.random.Generator(generator.jumped(rollbacks))
 
-    def _restore_counters(self, counters: Dict[str, Any]) -> None:
+    def _load_counters(self, counters: Dict[str, Any]) -> None:
         self.updates, self.skipped = int(counters["updates"]), int(counters["skipped"])
         self.rollbacks = int(counters.get("rollbacks", 0))
         self.schedule.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
 
-    def _attempt(self, count: int, beta: float, gamma: float) -> Loss:
+    def _step(self, count: int, beta: float, gamma: float) -> LossTerms:
+        """Take a step on the first pair of batches whose loss and gradient are finite."""
         for _ in range(ATTEMPTS):
-            loss = self._gradients(count, beta, gamma)
-            if _all_finite(loss, self._network):
+            terms = self._compute_gradients(count, beta, gamma)
+            if bool(torch.stack([terms.total, terms.gradient_sum]).isfinite().all()):
                 self._optimiser.step()
-                return loss
+                return terms
             self.skipped += 1
         raise DivergenceError(
-            f"loss or gradient was not finite for {ATTEMPTS} batches in a row at update {self.updates + 1}: lower"
-            " training/learning_rate"
+            f"training diverged: loss or gradient not finite for {ATTEMPTS} batches in a row at update"
+            f" {self.updates + 1}; lower training/learning_rate"
         )
 
-    def _gradients(self, count: int, beta: float, gamma: float) -> Loss:
+    def _compute_gradients(self, count: int, beta: float, gamma: float) -> LossTerms:
+        """Draw two batches, each without repetition, and compute the loss and its gradient."""
         size = self._config.training.batch_size
         halves = [self._random.choice(count, size, replace=False) for _ in range(2)]
         noise = self._random.standard_normal((size, self._network.latent_size), dtype=np.float32)
-        inputs = torch.from_numpy(noise).to(self._device), beta, gamma
-        if self.arithmetic.in_place:
-            pair = self._reader.read_in_place(np.concatenate(halves))
-            loss = self.arithmetic.loss(self._network, pair, *inputs, self._optimiser.settle)
-        else:
-            pair = self._reader.read(np.concatenate(halves))
-            loss = self.arithmetic.loss(self.network, pair, *inputs)
-        loss.hand_over_gradients(self._network)
-        terms = (None if term is None else term.detach() for term in loss._replace(gradients=None))
-        return Loss(*terms)
+        pair = self._reader.read(np.concatenate(halves))
+        on_device = torch.from_numpy(noise).to(self._device)
+        return self.loss.compute_gradients(self._network, pair, on_device, beta, gamma, self._optimiser.join)
 
     def _count(self, update: int) -> int:
-        """Observations that update number `update`, from 0, looks at: the first so many."""
+        """Number of observations, from the first on, that update number `update` (from 0) uses."""
         return min(len(self._observations), self._config.observations_needed(update))
 
     def _mean_colour(self, count: int) -> torch.Tensor:
@@ -271,24 +288,19 @@ class Learner:
         self.schedule.evaluate(log_std, workspace_coverage(states, visited, self._variance, authors))
 
     def _workspace_states(self, random: np.random.Generator) -> np.ndarray:
+        """(S, D) uniform in the workspace, normalised."""
         return random.uniform(-1.0, 1.0, (self._config.exploration.samples, self.network.state_size))
 
     def _log_std_over(self, states: np.ndarray, count: int) -> np.ndarray:
         """Log std (S,) at states (S, D), given the last of the first `count` observations."""
-        latent = self.network.encode(*self._reader.read(np.array([count - 1]))).mean
+        observed, images = self._reader.read(np.array([count - 1]))
+        latent = self.network.encode(observed, images[0][None]).mean
         points = torch.from_numpy(states.astype(np.float32)).to(self._device)
         return self.network.log_std(latent, points).cpu().numpy()
 
     def _evaluation_indices(self, count: int) -> np.ndarray:
         """Indices (N,) of the fixed subset among the first `count` observations, or of the last two of these."""
-        random = np.random.default_rng(np.random.SeedSequence([self._seed, 203]))
+        random = np.random.default_rng(np.random.SeedSequence([self._seed, SUBSET_STREAM]))
         chosen = random.permutation(self._config.exploration.steps)[: self._config.training.evaluation_size]
         present = chosen[chosen < count]
         return present if len(present) >= 2 else np.arange(max(0, count - 2), count)
-
-
-def _all_finite(loss: Loss, network: ConditionalVAE) -> bool:
-    # A sum is finite only if all its parts are: one pass over the gradients, no copies.
-    known = loss.gradient_sum
-    sums = [parameter.grad.sum() for parameter in network.parameters()] if known is None else [known]
-    return bool(torch.stack([loss.total, *sums]).isfinite().all())

@@ -1,14 +1,14 @@
-"""What the training is judged by: active units, and reconstruction with and without the right latent."""
+"""Quality of the model: active units, and reconstruction with and without the right latent."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict
+from typing import Any, Dict
 
 import torch
 
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.inference import InferenceImages
+from embodied_active_learning.model.inference import Inference
 from embodied_active_learning.model.objective import Batch
 
 
@@ -16,7 +16,7 @@ from embodied_active_learning.model.objective import Batch
 class Evaluation:
     """The model on a fixed subset of the observations. Errors are mean squared errors of pixels in [0, 1].
 
-    mse_own: each image from its own latent; mse_shuffled: from another's; mse_none: from the prior's mean, z = 0.
+    mse_own: each image decoded from its own latent; mse_shuffled: from another image's; mse_none: from z = 0.
     """
 
     update: int
@@ -30,30 +30,26 @@ class Evaluation:
 
 
 def active_units(latent_means: torch.Tensor, threshold: float) -> int:
-    """Number of latents whose mean varies by more than the threshold (paper, Sec. 4, active units).
+    """Return the number of latents whose mean has an unbiased variance above the threshold. Paper, Eq. 31.
 
-    What varies is the unbiased variance over the batch. latent_means: (B, L).
+    latent_means: (B, L).
     """
     return int((latent_means.var(dim=0, unbiased=True) > threshold).sum())
 
 
-def reconstruction_error(
-    network: ConditionalVAE, images: InferenceImages, latents: torch.Tensor, subset: Batch
-) -> float:
-    """Mean squared error of the subset's images decoded from latents (N, L) at the subset's states."""
-    _, features = network.decode_features(latents, subset.states, images.linear)
-    return float(images.errors(network, features, subset.images).double().mean())
+def reconstruction_error(network: ConditionalVAE, inference: Inference, latents: torch.Tensor, subset: Batch) -> float:
+    """Return the mean squared error of the subset's images decoded from latents (N, L) at the subset's states."""
+    _, features = network.decode_features(latents, subset.states, inference.linear)
+    return float(inference.errors(network, features, subset.images).double().mean())
 
 
-def evaluate_model(
-    network: ConditionalVAE, images: InferenceImages, subset: Batch, threshold: float
-) -> Dict[str, float]:
-    """Active units and the three reconstruction errors of an Evaluation, by its field names."""
-    features = images.features(network, subset.images)
-    latents = network.encode_features(subset.states, features, images.linear).mean
+def evaluate_model(network: ConditionalVAE, inference: Inference, subset: Batch, threshold: float) -> Dict[str, Any]:
+    """Return active units and the three reconstruction errors of an Evaluation, by field name."""
+    features = inference.encode(network, subset.images)
+    latents = network.encode_features(subset.states, features, inference.linear).mean
     return {
         "active_units": active_units(latents, threshold),
-        "mse_own": reconstruction_error(network, images, latents, subset),
-        "mse_shuffled": reconstruction_error(network, images, latents.roll(1, dims=0), subset),
-        "mse_none": reconstruction_error(network, images, torch.zeros_like(latents), subset),
+        "mse_own": reconstruction_error(network, inference, latents, subset),
+        "mse_shuffled": reconstruction_error(network, inference, latents.roll(1, dims=0), subset),
+        "mse_none": reconstruction_error(network, inference, torch.zeros_like(latents), subset),
     }

@@ -1,37 +1,31 @@
-"""The loss that the network is trained on, written plainly: the reference for every faster way to compute it."""
+"""The training objective (Paper, Eq. 30) and its reference implementation, which autograd differentiates."""
 
 from __future__ import annotations
 
 import math
-from typing import Callable, NamedTuple, Optional, Sequence
+from typing import Callable, NamedTuple, Protocol, Sequence
 
 import torch
-from torch import nn
 
 from embodied_active_learning.model.cvae import ConditionalVAE, LatentGaussian, float_images
 
 HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
-
 Images = Sequence[torch.Tensor]
-"""B images (H, W, 3) uint8: one tensor (B, H, W, 3), or each where it is stored."""
+"""B images (H, W, 3) uint8: one tensor (B, H, W, 3), or a list of images wherever they are stored."""
 
 
 class Batch(NamedTuple):
-    """A mini-batch of observations: states (B, D) normalised float, and images.
-
-    The images are one tensor (B, H, W, 3), unless they were asked for in place.
-    """
+    """Observations: states (B, D), normalised float32, and B images."""
 
     states: torch.Tensor
     images: Images
 
 
-class Loss(NamedTuple):
-    """The loss, its terms (scalars, before weighting) and the latent means (B, L) they were computed with.
+class LossTerms(NamedTuple):
+    """The loss, its unweighted terms (scalars), the latent means (B, L), and the sum of all elements of the gradient.
 
-    gradients: of the loss by each of the network's parameters, contiguous, and the sum of all their elements, where
-    they were taken along with it; otherwise autograd takes them.
+    The sum is finite only if the whole gradient is.
     """
 
     total: torch.Tensor
@@ -39,45 +33,53 @@ class Loss(NamedTuple):
     conditional_reconstruction: torch.Tensor
     kl: torch.Tensor
     latent_means: torch.Tensor
-    gradients: Optional[Sequence[torch.Tensor]] = None
-    gradient_sum: Optional[torch.Tensor] = None
-
-    def hand_over_gradients(self, network: nn.Module) -> None:
-        """Give each parameter its gradient, in place of the one that it had."""
-        if self.gradients is None:
-            # Which leaves each gradient in its parameter's order in memory, as the optimiser takes for granted.
-            network.zero_grad(set_to_none=True)
-            self.total.backward()
-        else:
-            for parameter, gradient in zip(network.parameters(), self.gradients):
-                parameter.grad = gradient
+    gradient_sum: torch.Tensor
 
 
-class Arithmetic(NamedTuple):
-    """A way to compute the loss, what it runs on and why, and the threads that torch itself should have beside it.
+class LossFunction(Protocol):
+    """Computes the loss of Paper, Eq. 30, and its gradient.
 
-    torch's threads spin for a while after their work, on cores that others need: 1 where others do the work.
-    in_place: whether it takes the images of a batch where they are stored, without a copy of all, and `settle`, to be
-    called when it needs other weights than the image encoder's.
+    Attributes:
+        description: The implementation, for the log.
+        torch_threads: Threads that torch should use besides it; idle ones would spin on cores that others need.
     """
 
-    loss: Callable[..., Loss]
     description: str
     torch_threads: int
-    in_place: bool = False
+
+    def compute_gradients(
+        self,
+        network: ConditionalVAE,
+        pair: Batch,
+        noise: torch.Tensor,
+        beta: float,
+        gamma: float,
+        join: Callable[[], None],
+    ) -> LossTerms:
+        """Compute the loss of a pair of batches and store its gradient in each parameter's .grad.
+
+        Args:
+            pair: 2 B observations. The first B are (x, y), encoded and reconstructed; the last B are (x^, y^), paired
+                with the first by position.
+            noise: (B, L) standard normal, for sampling the latents.
+            beta: Weight of the KL divergence.
+            gamma: Weight of the conditional reconstruction.
+            join: Waits for the optimiser's last step; called before any weight but the image encoder's is read.
+        """
+        ...
 
 
 def negative_log_likelihood(images: torch.Tensor, means: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-    """-log N(y; mean, std^2) averaged over batch, channels and pixels: a scalar.
+    """Return -log N(y; mean, std^2) averaged over batch, channels and pixels: a scalar. Paper, Eq. 30, first term.
 
-    mean of (y - mean)^2 / (2 std^2) + log std + log(2 pi) / 2. images, means: (B, 3, H, W), log_std: (B,).
+    Mean of (y - mean)^2 / (2 std^2) + log std + log(2 pi) / 2. images, means: (B, 3, H, W) in [0, 1]; log_std: (B,).
     """
     squared_error = (images - means).square().mean(dim=(1, 2, 3))
     return (0.5 * squared_error * torch.exp(-2.0 * log_std) + log_std).mean() + HALF_LOG_TWO_PI
 
 
 def kl_divergence(latent: LatentGaussian) -> torch.Tensor:
-    """KL(q(z | x, y) || N(0, I)), summed over latents, averaged over the batch: a scalar.
+    """Return KL(q(z | x, y) || N(0, I)), summed over latents, averaged over the batch: a scalar. Paper, Eq. 30.
 
     -1/2 sum_l (1 + log_variance_l - mean_l^2 - variance_l).
     """
@@ -85,51 +87,60 @@ def kl_divergence(latent: LatentGaussian) -> torch.Tensor:
     return -0.5 * terms.sum(dim=1).mean()
 
 
-def weigh(
-    reconstruction: torch.Tensor, conditional: torch.Tensor, latent: LatentGaussian, beta: float, gamma: float
-) -> Loss:
-    """L = RC + beta KL + gamma RC_cond, to be minimised (paper, Sec. 4, loss formulation, with its sign turned)."""
-    kl = kl_divergence(latent)
-    total = reconstruction + beta * kl + gamma * conditional
-    return Loss(total, reconstruction, conditional, kl, latent.mean)
+def total_loss(
+    reconstruction: torch.Tensor, conditional: torch.Tensor, kl: torch.Tensor, beta: float, gamma: float
+) -> torch.Tensor:
+    """Return -L of Paper, Eq. 30, which is minimised: reconstruction + beta KL + gamma conditional reconstruction."""
+    return reconstruction + beta * kl + gamma * conditional
 
 
-def error_weights(log_std: torch.Tensor, gamma: float) -> torch.Tensor:
-    """Weights (2 B,) in the loss of the mean squared errors of a pair's images, first half and second.
+class PlainLoss:
+    """The loss as the equations state it, differentiated by autograd: the reference, and the choice on a GPU."""
 
-    log_std: (2 B,). Averaged over a half, an error counts 1 / (2 std^2), and in the second half gamma times that.
-    """
-    weights = 0.5 * torch.exp(-2.0 * log_std) / (len(log_std) // 2)
-    weights[len(weights) // 2 :] *= gamma
-    return weights
+    def __init__(self, description: str) -> None:
+        self.description = description
+        self.torch_threads = torch.get_num_threads()
+
+    def compute_gradients(
+        self,
+        network: ConditionalVAE,
+        pair: Batch,
+        noise: torch.Tensor,
+        beta: float,
+        gamma: float,
+        join: Callable[[], None] = lambda: None,
+    ) -> LossTerms:
+        """See LossFunction."""
+        join()
+        network.zero_grad(set_to_none=True)
+        terms = plain_loss(network, pair, noise, beta, gamma)
+        terms.total.backward()
+        gradients = [parameter.grad.sum() for parameter in network.parameters() if parameter.grad is not None]
+        detached = LossTerms(*map(torch.Tensor.detach, terms))
+        return detached._replace(gradient_sum=torch.stack(gradients).sum())
 
 
-def log_std_slopes(errors: torch.Tensor, log_std: torch.Tensor, gamma: float) -> torch.Tensor:
-    """Gradient (2 B,) of pair_loss by log_std: (1 - error / std^2) / B, and in the second half gamma times that."""
-    slopes = (1.0 - errors * torch.exp(-2.0 * log_std)) / (len(log_std) // 2)
-    slopes[len(slopes) // 2 :] *= gamma
-    return slopes
+def plain_loss(network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: float, gamma: float) -> LossTerms:
+    """Return the loss of a pair of batches (see LossFunction), without gradients.
 
-
-def pair_loss(errors: torch.Tensor, log_std: torch.Tensor, latent: LatentGaussian, beta: float, gamma: float) -> Loss:
-    """The loss of a pair from the mean squared errors (2 B,) and log std (2 B,) of its decoded images."""
-    terms = 0.5 * errors * torch.exp(-2.0 * log_std) + log_std
-    halves = terms.unflatten(0, (2, len(terms) // 2)).mean(dim=1) + HALF_LOG_TWO_PI
-    return weigh(halves[0], halves[1], latent, beta, gamma)
-
-
-def plain_loss(network: ConditionalVAE, pair: Batch, noise: torch.Tensor, beta: float, gamma: float) -> Loss:
-    """The loss of a batch (first B rows of the pair) and a second, independent one (last B rows), paired by position.
-
-    noise: (B, L) standard normal. The conditional term decodes the same z_i, encoded from (x_i, y_i), at the other
-    batch's state and compares it with the other batch's image: what the decoder should say where it cannot know
-    (paper, Sec. 4, loss formulation, hatted quantities).
+    Both reconstructions decode the same z_i ~ q(z | x_i, y_i): the first at x_i, compared with y_i, the conditional one
+    at the other batch's state x^_i, compared with y^_i.
     """
     size = len(noise)
-    latent = network.encode(pair.states[:size], pair.images[:size])
+    images = pair.images if isinstance(pair.images, torch.Tensor) else torch.stack(list(pair.images))
+    latent = network.encode(pair.states[:size], images[:size])
     sample = latent.mean + latent.std * noise
-    terms = []
-    for half in (slice(None, size), slice(size, None)):
-        means, log_std = network.decode(sample, pair.states[half])
-        terms.append(negative_log_likelihood(float_images(pair.images[half], means.dtype), means, log_std))
-    return weigh(terms[0], terms[1], latent, beta, gamma)
+    reconstruction, conditional = (
+        _reconstruction(network, sample, pair.states[half], images[half])
+        for half in (slice(None, size), slice(size, None))
+    )
+    kl = kl_divergence(latent)
+    total = total_loss(reconstruction, conditional, kl, beta, gamma)
+    return LossTerms(total, reconstruction, conditional, kl, latent.mean, torch.zeros(()))
+
+
+def _reconstruction(
+    network: ConditionalVAE, latents: torch.Tensor, states: torch.Tensor, images: torch.Tensor
+) -> torch.Tensor:
+    means, log_std = network.decode(latents, states)
+    return negative_log_likelihood(float_images(images, means.dtype), means, log_std)

@@ -1,68 +1,90 @@
-"""Adam, taking its step while the next batch is already being looked at."""
+"""Adam, whose step runs in the background while the next batch is encoded."""
 
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Callable, Dict, Iterable, List
+from typing import Callable, Dict, Iterable, List, Mapping
 
 import torch
 from torch import nn
 
 from embodied_active_learning.model.cvae import ConditionalVAE
 
+MOMENTS = ("exp_avg", "exp_avg_sq")
+
 
 class Optimiser:
-    """Adam as the paper has it: the image encoder's weights are stepped at once, all others in the background.
+    """Adam (paper, appendix): the image encoder is stepped at once, all other weights in the background.
 
-    Adam waits for memory and keeps the processor idle, which the convolutions of the next batch do not. Who reads other
-    weights than the image encoder's, or changes any weight or gradient, calls settle() first. One thread may call the
-    methods.
+    Adam waits for memory and leaves the processor idle, which the next batch's convolutions use. Call join() before
+    reading any weight but the image encoder's, or changing any weight or gradient. One thread may call the methods.
     """
 
     def __init__(self, network: ConditionalVAE, learning_rate: float) -> None:
-        first = list(network.image_encoder.parameters())
-        known = {id(parameter) for parameter in first}
-        others = [parameter for parameter in network.parameters() if id(parameter) not in known]
-        self.parts = [_adam(part, learning_rate) for part in (first, others)]
-        # A unit that is dead for some hundred updates has moments below 1e-38, with which processors are slow; as zeros
-        # they change no weight.
+        self._names = {parameter: name for name, parameter in network.named_parameters()}
+        encoder = list(network.image_encoder.parameters())
+        ids = {id(parameter) for parameter in encoder}
+        others = [parameter for parameter in network.parameters() if id(parameter) not in ids]
+        self.parts = [_adam(part, learning_rate) for part in (encoder, others)]
+        # Units without gradient for hundreds of updates have denormal moments, which are slow; as zeros they change
+        # no weight.
         self._background = ThreadPoolExecutor(1, "adam", torch.set_flush_denormal, (True,))
         self._pending: List[Future] = []
 
-    @property
-    def state(self) -> Dict[nn.Parameter, Dict[str, torch.Tensor]]:
-        """Adam's moments and step count of each parameter that has been stepped."""
-        return {parameter: state for part in self.parts for parameter, state in part.state.items()}
-
     def step(self) -> None:
-        """Take a step from the gradients that the parameters have."""
-        self.settle()
-        first, others = self.parts
-        first.step()
-        self.afterwards(others.step)
+        """Start a step from the parameters' gradients."""
+        self.join()
+        encoder, others = self.parts
+        encoder.step()
+        self.run_after_step(others.step)
 
-    def afterwards(self, task: Callable[[], None]) -> None:
-        """Have a task done in the background, behind the step that is being taken; not if that fails."""
-        before = tuple(self._pending)
+    def run_after_step(self, task: Callable[[], None]) -> None:
+        """Run a task in the background after the current step, unless that fails."""
+        previous = tuple(self._pending)
 
-        def follow() -> None:
-            if all(earlier.exception() is None for earlier in before):
+        def run() -> None:
+            if all(future.exception() is None for future in previous):
                 task()
 
-        self._pending.append(self._background.submit(follow))
+        self._pending.append(self._background.submit(run))
 
-    def settle(self) -> None:
-        """Wait until the last step is taken, and what was to come afterwards is done. Raises what went wrong first."""
+    def join(self) -> None:
+        """Wait for the current step and the tasks behind it. Raises the first error among them."""
         pending, self._pending = self._pending, []
         wait(pending)
-        for task in pending:
-            task.result()
+        for future in pending:
+            future.result()
+
+    def state_dict(self) -> Dict[str, torch.Tensor]:
+        """Return copies of Adam's moments, "<moment>/<parameter>", and its "step" count, on the CPU."""
+        state = {parameter: values for part in self.parts for parameter, values in part.state.items()}
+        tensors = {"step": torch.zeros(())}
+        for parameter, name in self._names.items():
+            values = state.get(parameter, {})
+            for moment in MOMENTS:
+                tensors[f"{moment}/{name}"] = copy_to_cpu(values.get(moment, torch.zeros_like(parameter)))
+            tensors["step"] = copy_to_cpu(values.get("step", tensors["step"]))
+        return tensors
+
+    def load_state_dict(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Restore state_dict()."""
+        for part in self.parts:
+            groups = part.state_dict()["param_groups"]
+            names = [self._names[parameter] for group in part.param_groups for parameter in group["params"]]
+            moments = [{moment: tensors[f"{moment}/{name}"].clone() for moment in MOMENTS} for name in names]
+            state = {index: {"step": tensors["step"].clone(), **pair} for index, pair in enumerate(moments)}
+            part.load_state_dict({"state": state, "param_groups": groups})
+
+
+def copy_to_cpu(tensor: torch.Tensor) -> torch.Tensor:
+    """Return a contiguous copy on the CPU."""
+    return tensor.detach().to("cpu", copy=True).contiguous()
 
 
 def _adam(parameters: Iterable[nn.Parameter], learning_rate: float) -> torch.optim.Adam:
-    """Adam in one pass over the weights, where torch can do so."""
+    """Adam with fused kernels, if this torch has them for the device."""
     chosen: List[nn.Parameter] = list(parameters)
     try:
         return torch.optim.Adam(chosen, learning_rate, fused=True)
-    except RuntimeError:  # a torch without fused kernels for this device
+    except RuntimeError:
         return torch.optim.Adam(chosen, learning_rate)

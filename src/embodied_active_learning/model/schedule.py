@@ -1,11 +1,11 @@
-"""The weights beta and gamma of the loss, from how well the model tells states apart and how much has been seen."""
+"""Schedule of the loss weights beta and gamma. Paper, Alg. 1, line 13."""
 
 from __future__ import annotations
 
 import math
 import sys
 from collections import deque
-from typing import Deque, Dict, List, Tuple
+from typing import Any, Deque, Dict, Tuple
 
 import numpy as np
 
@@ -13,10 +13,15 @@ from embodied_active_learning.config import ObjectiveConfig
 
 
 def beta_from_log_std(log_std: np.ndarray, coverage: float, chi: float, beta_max: float) -> float:
-    """Weight of the latent regularisation (paper, Alg. 1, line 13): log10 beta = -log10 min(h / max h) - chi, clamped.
+    """Return the weight of the KL divergence. Paper, Alg. 1, line 13, clamped to beta_max.
 
-    log_std: (S,) of the decoder at workspace samples; k: coverage; h = std^k, with the entropy of one pixel
-    (paper, Sec. 4, control formulation).
+    log10 beta = -log10 min(h / max h) - chi, with h = std^k (Paper, Eq. 29, with the entropy of one pixel).
+
+    Args:
+        log_std: (S,) of the decoder at workspace samples.
+        coverage: Workspace coverage k (Paper, Alg. 1, line 8).
+        chi: Regularisation scale.
+        beta_max: Upper limit.
     """
     spread = coverage * float(np.max(log_std) - np.min(log_std))
     exponent = min(spread / math.log(10.0) - chi, sys.float_info.max_10_exp)
@@ -24,12 +29,12 @@ def beta_from_log_std(log_std: np.ndarray, coverage: float, chi: float, beta_max
 
 
 def gamma_from_coverage(coverage: float, weight: float) -> float:
-    """Weight of the conditional reconstruction (paper, Alg. 1, line 13): weight * k."""
+    """Return the weight of the conditional reconstruction, weight * k. Paper, Alg. 1, line 13: 0.1 k."""
     return weight * coverage
 
 
 class Schedule:
-    """beta and gamma as means over the last evaluations, so that one odd sample does not jolt the training."""
+    """beta and gamma, averaged over the last evaluations so that a single outlier does not disturb training."""
 
     def __init__(self, config: ObjectiveConfig) -> None:
         self._config = config
@@ -41,7 +46,7 @@ class Schedule:
 
     @property
     def beta(self) -> float:
-        """Mean over the window; before the first evaluation the smallest value there is, 10^-chi."""
+        """Mean over the window; before the first evaluation the smallest possible value, 10^-chi."""
         if not self._window:
             return beta_from_log_std(np.zeros(1), 0.0, self._config.chi, self._config.beta_max)
         return sum(beta for beta, _ in self._window) / len(self._window)
@@ -52,7 +57,7 @@ class Schedule:
         return sum(gamma for _, gamma in self._window) / max(len(self._window), 1)
 
     def evaluate(self, log_std: np.ndarray, coverage: float) -> bool:
-        """Take in the log std at workspace samples (S,) and the coverage k. Non-finite input is counted and ignored."""
+        """Add an evaluation: log std at workspace samples (S,) and coverage k. Non-finite input is only counted."""
         if not (math.isfinite(coverage) and np.all(np.isfinite(log_std))):
             self.rejected += 1
             return False
@@ -63,19 +68,18 @@ class Schedule:
         self.log_std_min, self.log_std_max = float(np.min(log_std)), float(np.max(log_std))
         return True
 
-    def state_dict(self) -> Dict[str, object]:
-        """Everything that a continued run needs, as plain numbers and lists."""
-        window: List[List[float]] = [list(entry) for entry in self._window]
+    def state_dict(self) -> Dict[str, Any]:
+        """Return the state as plain numbers and lists."""
         return {
-            "window": window,
+            "window": [list(entry) for entry in self._window],
             "coverage": self.coverage,
             "log_std_min": self.log_std_min,
             "log_std_max": self.log_std_max,
             "rejected": self.rejected,
         }
 
-    def load_state_dict(self, state: Dict[str, object]) -> None:
-        """Go on from state_dict()."""
+    def load_state_dict(self, state: Dict[str, Any]) -> None:
+        """Restore state_dict()."""
         self._window.clear()
         self._window.extend((float(beta), float(gamma)) for beta, gamma in state["window"])
         self.coverage = float(state["coverage"])

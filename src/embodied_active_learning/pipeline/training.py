@@ -1,4 +1,4 @@
-"""The learning half of the paper's Algorithm 1, without ROS: the owner of session, observations and learner."""
+"""A training run without ROS: owns session, observations and learner. Paper, Alg. 1, lines 3, 4 and 12 to 14."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError, SessionError
-from embodied_active_learning.model.checkpoint import network_weights
+from embodied_active_learning.model.checkpoint import LearnerState, network_weights
 from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
-from embodied_active_learning.model.objective import Arithmetic
+from embodied_active_learning.model.objective import LossFunction
 from embodied_active_learning.session.atomic import remove_file
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table
 
 LOG = logging.getLogger(__name__)
-ROLLBACKS = 3  # tried at one update before training is given up
+ROLLBACKS = 3  # at one update, before training fails
 
 
 class TrainingRun:
-    """Stores what it is handed, makes the updates that are due, and answers questions from a snapshot of the model.
+    """Stores observations, makes the updates that are due, and answers queries from a replica of the model.
 
-    One thread calls train(); observe(), log_std() and encode() may be called from any other meanwhile.
+    One thread calls train(); any other may call observe(), log_std(), encode() and save() meanwhile.
     """
 
     def __init__(self, config: Config) -> None:
-        """Create the session, or go on with it. Raises SessionError and its kin."""
+        """Create or resume the configured session. Raises EmbodiedActiveLearningError if that is not possible."""
         self._config = config
         self._workspace = config.workspace.box()
         self._session = Session.open_for_writing(config)
         self._store = self._session.open_observations()
         self._learner = Learner(config, self._store, config.exploration.seed)
         self._changed = threading.Condition()
-        self._save_asked = False
+        self._save_requested = False
         self._saved: Optional[Path] = None
-        self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # what the newest checkpoint is of, and where
+        self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # content and path of the newest checkpoint
         self._complete = False
         self._diverged_at, self._rollbacks_there = 0, 0
         self._restore()
-        self._refreshed = self._learner.snapshots.updates  # of the model that answers, or is about to
-        # What a model that diverges before the first checkpoint goes back to.
-        self._beginning = None if self._learner.updates else self._learner.state()
+        self._refreshed = self._learner.replicas.updates  # updates of the newest replica, refreshed or being refreshed
+        # For a rollback before the first checkpoint.
+        self._initial = None if self._learner.updates else self._learner.state_dict()
         self._training_table = self._open_table("training")
         self._evaluation_table = self._open_table("evaluation")
 
@@ -56,49 +56,57 @@ class TrainingRun:
         return self._session.paths.path
 
     @property
-    def arithmetic(self) -> Arithmetic:
-        """How updates are computed on this machine."""
-        return self._learner.arithmetic
+    def loss(self) -> LossFunction:
+        """The implementation of the loss on this machine."""
+        return self._learner.loss
 
     @property
     def observations(self) -> int:
-        """Observations stored for good."""
+        """Number of observations stored."""
         return len(self._store)
 
     @property
     def updates(self) -> int:
-        """Updates made."""
+        """Number of updates made."""
         return self._learner.updates
 
     @property
     def skipped(self) -> int:
-        """Batches left out because their loss or gradient was not finite."""
+        """Number of batches skipped because their loss or gradient was not finite."""
         return self._learner.skipped
 
     @property
     def rollbacks(self) -> int:
-        """How often the last good model was gone back to."""
+        """Number of rollbacks to the last good checkpoint."""
         return self._learner.rollbacks
 
     @property
     def updates_due(self) -> int:
-        """Updates that the stored observations call for."""
+        """Number of updates that the stored observations call for."""
         return self._config.updates_due(self.observations)
 
     @property
     def finished(self) -> bool:
-        """Whether every update of the run is made and the final model, if anything was learned, is written."""
+        """Whether all updates are made and the final model, if there were any updates, is written."""
         return self._complete
 
     @property
     def trajectory(self) -> np.ndarray:
-        """(N, 3) the states of every observation, SI units."""
+        """States (N, 3) of all observations, SI units."""
         return self._store.raw_states
 
     def observe(self, index: int, stamp: float, state: Sequence[float], image: np.ndarray) -> None:
-        """Store observation number index for good: state (3,) SI units, image (H, W, 3) uint8.
+        """Store an observation; one that is stored already is ignored.
 
-        Raises ObservationError for what the model was not built for, SessionError when it cannot be stored.
+        Args:
+            index: Number of the observation, from 0.
+            stamp: Time of the image [s].
+            state: (3,) SI units.
+            image: (H, W, 3) uint8.
+
+        Raises:
+            ObservationError: State or image do not fit the model.
+            SessionError: It cannot be written.
         """
         self._store.append(index, stamp, state, image)
         self.wake()
@@ -106,77 +114,95 @@ class TrainingRun:
     def train(
         self, stop: threading.Event, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]
     ) -> None:
-        """Make the updates as they become due until stop is set (see wake), and leave a checkpoint behind.
+        """Make updates as they become due until stop is set (call wake() then), and write a checkpoint at the end.
 
-        on_update is called after each update, on_finish once when the final model is written. A model that diverges is
-        replaced by the last good one. Raises DivergenceError when that does not help, SessionError when the disk fails.
+        Args:
+            stop: Ends training.
+            on_update: Called after each update.
+            on_finish: Called once, when the final model is written.
+
+        Raises:
+            DivergenceError: The model still diverges after several rollbacks to the last good checkpoint.
+            SessionError: A file cannot be written.
         """
         while not stop.is_set():
             if self._learner.updates < self.updates_due:
                 try:
                     on_update(self._update())
                 except DivergenceError as error:
-                    self._roll_back(error)
+                    self._rollback(error)
             elif self._is_complete():
                 self._finish()
                 on_finish()
             else:
                 self._wait_for_work(stop)
-            self._save_if_asked()
+            self._save_if_requested()
         self._checkpoint()
 
     def wake(self) -> None:
-        """Have everyone who waits for a change look again; train() at its stop event too."""
+        """Wake all threads that wait for a change, including train(), which then checks its stop event."""
         with self._changed:
             self._changed.notify_all()
 
     def log_std(
         self, states: np.ndarray, min_updates: int, timeout: float = 1.0
     ) -> Tuple[Optional[np.ndarray], int, bool]:
-        """Log standard deviation (S,) at states (S, 3) SI units, given the newest observation's latent.
+        """Return the log std predicted at states, given the newest observation's latent. Paper, Eq. 29.
 
-        Waits up to timeout seconds for a model with min_updates; that before the newest answers if it has just these.
-        -> (values, or None before the first update; updates of the model that answered; whether it had min_updates).
+        Args:
+            states: (S, 3) SI units.
+            min_updates: Wait for a model with this number of updates (see Replicas.conditional_log_std).
+            timeout: Of the wait [s].
+
+        Returns:
+            Log std (S,), or None before the first update or after a timeout; the number of updates of the model; and
+            whether it has min_updates.
         """
         ready = self._wait_for_updates(min_updates, timeout)
-        snapshots = self._learner.snapshots
+        replicas = self._learner.replicas
         count = self.observations
-        if not ready or snapshots.updates == 0 or count == 0:
-            return None, snapshots.updates, ready
+        if not ready or replicas.updates == 0 or count == 0:
+            return None, replicas.updates, ready
         newest = self._store.states[count - 1], self._store.images[count - 1]
-        log_std, updates = snapshots.conditional_log_std(self._workspace.normalise(states), *newest, min_updates)
+        log_std, updates = replicas.conditional_log_std(self._workspace.normalise(states), *newest, min_updates)
         return log_std, updates, ready
 
     def encode(self, states: Sequence[np.ndarray], images: Sequence[np.ndarray]) -> Tuple[np.ndarray, np.ndarray, int]:
-        """Latent means and standard deviations (N, L) of N images (H, W, 3) from N states (3,), and the updates made.
+        """Return mean and std (N, L) of the latents, and the number of updates of the model.
 
-        Raises ObservationError for images that the model was not built for.
+        Args:
+            states: N states (3,), SI units.
+            images: N images (H, W, 3) uint8.
+
+        Raises:
+            ObservationError: The numbers differ or are 0, or the images do not fit the model.
         """
         if not images or len(images) != len(states):
-            raise ObservationError(f"{len(images)} images and {len(states)} states: give one of each, or several")
-        return self._learner.snapshots.encode(self._workspace.normalise(states), np.stack(images))
+            raise ObservationError(f"{len(images)} images and {len(states)} states: give the same number, at least one")
+        return self._learner.replicas.encode(self._workspace.normalise(np.asarray(states)), np.stack(images))
 
     def save(self, timeout: float = 60.0) -> Path:
-        """Have the training thread write a checkpoint now -> its path. Raises SessionError when none came in time."""
+        """Request a checkpoint from the training thread -> its path. Raises SessionError after the timeout [s]."""
         with self._changed:
-            self._save_asked, self._saved = True, None
+            self._save_requested, self._saved = True, None
             self._changed.notify_all()
-            if not self._changed.wait_for(lambda: self._saved is not None, timeout):
+            self._changed.wait_for(lambda: self._saved is not None, timeout)
+            if self._saved is None:
                 raise SessionError(
-                    f"no checkpoint was written within {timeout:g} s: the disk or the processor is overloaded, or "
-                    "training has ended; see /diagnostics, and call again"
+                    f"checkpoint timeout: none written within {timeout:g} s because the disk or the processor is "
+                    "overloaded, or training has ended; see /diagnostics and retry"
                 )
             return self._saved
 
     def close(self) -> None:
-        """Close the session's files and free its lock."""
+        """Close the session's files and release its lock."""
         self._training_table.close()
         self._evaluation_table.close()
         self._store.close()
         self._session.close()
 
     def _open_table(self, name: str) -> Table:
-        """A table without the rows of updates that were made after the checkpoint."""
+        """Open a table and drop the rows of updates after the checkpoint."""
         table = self._session.open_table(name)
         table.truncate_after("update", self._learner.updates)
         return table
@@ -186,18 +212,18 @@ class TrainingRun:
         if checkpoint is None:
             return
         for reason in checkpoint.refused:
-            LOG.warning("checkpoint refused, an older one is used: %s", reason)
+            LOG.warning("checkpoint skipped, using an older one: %s", reason)
         observed = checkpoint.counters.get("observations", 0)
         if observed > self.observations:
             raise CorruptFileError(
-                f"{self._session.paths.observations} holds {self.observations} observations, but there were {observed} "
-                f"when {checkpoint.path.name} was written: restore them, or start a new session"
+                f"observations missing: {self._session.paths.observations} holds {self.observations}, but "
+                f"{checkpoint.path.name} was trained on {observed}; restore the file or start a new session"
             )
         try:
-            self._learner.restore(checkpoint.tensors, checkpoint.counters)
+            self._learner.load_state_dict(LearnerState(checkpoint.tensors, checkpoint.counters))
         except (ConfigError, CorruptFileError) as error:
             raise type(error)(f"{checkpoint.path}: {error}") from error
-        remove_file(self._session.paths.model)  # it is older than what is learned from here on
+        remove_file(self._session.paths.model)  # outdated as soon as training continues
 
     def _update(self) -> UpdateReport:
         report = self._learner.update()
@@ -206,74 +232,76 @@ class TrainingRun:
         if report.update % training.evaluate_every == 0 or report.update == self._config.updates_planned:
             self._evaluation_table.append(dataclasses.asdict(self._learner.evaluate()))
         if report.update % training.updates_per_observation == 0:
-            self._learner.refresh_meanwhile(self.wake)
+            self._learner.refresh_async(self.wake)
             self._refreshed = report.update
         if report.update % training.checkpoint_every == 0:
-            self._checkpoint()  # after the refresh, because it tells which model answers
+            self._checkpoint()  # after the refresh, because it stores which model answers queries
         return report
 
-    def _roll_back(self, error: DivergenceError) -> None:
-        """Go on from the last good model with other batches. Raises the error when that was tried often enough."""
-        past = self.updates > self._diverged_at
+    def _rollback(self, error: DivergenceError) -> None:
+        """Continue from the last good model with other batches. Raises the error after ROLLBACKS attempts."""
+        progressed = self.updates > self._diverged_at
         self._diverged_at = max(self._diverged_at, self.updates)
-        self._rollbacks_there = 1 if past else self._rollbacks_there + 1
+        self._rollbacks_there = 1 if progressed else self._rollbacks_there + 1
         if self._rollbacks_there > ROLLBACKS:
-            raise DivergenceError(f"{error}; going back to the last good model has not helped {ROLLBACKS} times")
+            raise DivergenceError(f"{error} ({ROLLBACKS} rollbacks to the last good checkpoint have not helped)")
         checkpoint = load_latest(self._session.paths.checkpoints)
-        good = self._beginning if checkpoint is None else (checkpoint.tensors, checkpoint.counters)
-        self._learner.roll_back(*good)
-        self._refreshed = self._learner.snapshots.updates
+        good = self._initial if checkpoint is None else LearnerState(checkpoint.tensors, checkpoint.counters)
+        if good is None:
+            raise DivergenceError(f"{error} (no checkpoint to return to)")
+        self._learner.rollback(good)
+        self._refreshed = self._learner.replicas.updates
         for table in (self._training_table, self._evaluation_table):
             table.truncate_after("update", self.updates)
-        LOG.warning("%s. Going on from the good model of update %d", error, self.updates)
+        LOG.warning("%s; rollback to the model of update %d", error, self.updates)
 
     def _wait_for_work(self, stop: threading.Event) -> None:
-        """Sleep until there is something to do; before that, let everyone see the newest model."""
+        """Publish the newest model to the replicas, then wait for work."""
         if self._refreshed != self.updates:
-            self._learner.refresh_meanwhile(self.wake)
+            self._learner.refresh_async(self.wake)
             self._refreshed = self.updates
-        self._learner.settle()
+        self._learner.join()
         with self._changed:
-            self._changed.wait_for(lambda: stop.is_set() or self._save_asked or self._has_work())
+            self._changed.wait_for(lambda: stop.is_set() or self._save_requested or self._has_work())
 
     def _has_work(self) -> bool:
         return self.updates < self.updates_due or self._is_complete()
 
     def _is_complete(self) -> bool:
-        """Whether all is observed and, once no update is due, only the final model, if there is one, is missing."""
+        """Whether all observations are stored and the final model is not written yet."""
         return not self._complete and self.observations >= self._config.exploration.steps
 
     def _wait_for_updates(self, count: int, timeout: float) -> bool:
         with self._changed:
-            return self._changed.wait_for(lambda: self._learner.snapshots.updates >= count, timeout)
+            return self._changed.wait_for(lambda: self._learner.replicas.updates >= count, timeout)
 
     def _finish(self) -> None:
         self._checkpoint()
         if self.updates:
-            tensors, _ = self._learner.state()
+            tensors = self._learner.state_dict().tensors
             facts = {"updates": self.updates, "observations": self.observations}
             save_model(self._session.paths.model, network_weights(tensors), facts)
         self._complete = True
 
-    def _save_if_asked(self) -> None:
-        if self._save_asked:
+    def _save_if_requested(self) -> None:
+        if self._save_requested:
             path = self._checkpoint()
             with self._changed:
-                self._save_asked, self._saved = False, path
+                self._save_requested, self._saved = False, path
                 self._changed.notify_all()
 
     def _checkpoint(self) -> Path:
-        """Have a checkpoint of what is known now -> its path. One that is there already is not written again."""
+        """Write a checkpoint of the current state, unless it exists already, and return its path."""
         learner = self._learner
         content = self.updates, self.skipped, self.rollbacks, self._refreshed, self.observations
         if self._checkpointed is not None:
-            known, path = self._checkpointed
-            if known == content and path.exists():
+            stored, path = self._checkpointed
+            if stored == content and path.exists():
                 return path
-        tensors, counters = learner.state()
+        tensors, counters = learner.state_dict()
         counters["observations"] = self.observations
         kept = self._config.training.checkpoints_kept
         path = save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)
         self._checkpointed = content, path
-        self._beginning = None
+        self._initial = None
         return path

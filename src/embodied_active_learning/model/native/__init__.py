@@ -1,1 +1,5 @@
-"""C kernels for the convolutions of the model on CPUs."""
+"""Compiled kernels for training and inference on the CPU.
+
+Entry points: `library.load_kernels`, `loss.NativeLoss` (training) and `convolutions.NativeConvolutions` (inference).
+`bindings` declares the C functions of kernels.c.
+"""

@@ -1,4 +1,4 @@
-"""Convolutions, reconstruction errors and products of matrices on the compiled kernels, shared among threads."""
+"""The network's convolutions and matrix products on the compiled kernels, distributed over threads."""
 
 from __future__ import annotations
 
@@ -11,106 +11,114 @@ import torch
 from torch import nn
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
-from embodied_active_learning.model.native.kernels import Chain, Gradients, Kernels, Layer, Room
+from embodied_active_learning.model.native.bindings import (
+    ConvLayer,
+    FeatureMaps,
+    GroupGradients,
+    Kernels,
+    PackedLayers,
+)
 from embodied_active_learning.model.objective import Images
 
 Pair = Tuple[torch.Tensor, torch.Tensor]
-Task = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+Product = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 Job = Callable[[], None]
 
-PARTS = 2  # of a product for each thread: when one of them is held up, the others take over
-SMALL = 1 << 24  # multiplications that one thread has done before another would have woken up
+PARTS = 2  # per thread and matrix product, so that others can take over from a thread that is delayed
+SMALL = 1 << 24  # multiply-adds below which a second thread would not be awake in time
 
 
-class Seen(NamedTuple):
-    """What the encoder's gradients need of a batch of images; values: of each group, still borrowed."""
+class SavedTensors(NamedTuple):
+    """What the encoder's backward pass needs from its forward pass; maps: borrowed, one per group."""
 
     images: Images
     parameters: List[torch.Tensor]
-    chain: Chain
-    values: List[Room]
+    layers: PackedLayers
+    maps: List[FeatureMaps]
 
 
-class LookedBack(NamedTuple):
-    """Gradients of the encoder's weights and biases, and what else was multiplied, with the sum of all its elements."""
+class EncoderGradients(NamedTuple):
+    """Gradients of the encoder's weights and biases, the products computed meanwhile, and the sum of all elements."""
 
     gradients: List[torch.Tensor]
     products: List[torch.Tensor]
     sum: torch.Tensor
 
 
-class Errors(NamedTuple):
-    """Mean squared error (B,) of each decoded image, and the gradients of the decoder's parameters by group."""
+class Reconstruction(NamedTuple):
+    """Mean squared error (B,) of each decoded image, and the decoder's gradients by group."""
 
-    each: torch.Tensor
-    by_group: Gradients
+    errors: torch.Tensor
+    group_gradients: GroupGradients
 
     def gradients(self) -> Tuple[List[torch.Tensor], torch.Tensor]:
-        """The gradients of the decoder's weights and biases, in their order, and the sum of all their elements."""
-        found, total = self.by_group.summed()
-        return _inwards(found), total
+        """Return the gradients of the decoder's weights and biases in their order, and the sum of all elements."""
+        gradients, total = self.group_gradients.reduce()
+        return _reverse_layers(gradients), total
 
 
-class NativeImages:
-    """The network's convolutions in single precision, and products that are large enough to be shared."""
+class NativeConvolutions:
+    """Image encoder, image decoder and linear layers of networks of one geometry; weights are read at each call."""
 
     def __init__(self, network: ConditionalVAE, kernels: Kernels) -> None:
-        """Take over the geometry of the network; its weights are read at each call."""
         self.kernels = kernels
         self.threads = torch.get_num_threads()
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="kernels")
-        convolutions = [layer for layer in network.image_encoder if isinstance(layer, nn.Conv2d)]
+        convs = [layer for layer in network.image_encoder if isinstance(layer, nn.Conv2d)]
         shapes = [(IMAGE_CHANNELS, *network.sizes[0])]
-        shapes += [(layer.out_channels, *size) for layer, size in zip(convolutions, network.sizes[1:])]
-        geometry = zip(shapes, shapes[1:], convolutions)
-        self.layers = [Layer(wide, narrow, part.kernel_size[0], part.stride[0]) for wide, narrow, part in geometry]
-        self.feature_size = network.feature_size
-        self._deep = range(min(kernels.near, len(self.layers)), len(self.layers) + 1)
-        self._spare: DefaultDict[range, List[Room]] = defaultdict(list)
+        shapes += [(conv.out_channels, *size) for conv, size in zip(convs, network.sizes[1:])]
+        geometry = zip(shapes, shapes[1:], convs)
+        self.layers = [ConvLayer(outer, inner, conv.kernel_size[0], conv.stride[0]) for outer, inner, conv in geometry]
+        self._inner_maps = range(1, len(self.layers) + 1)
+        self._deep_maps = range(min(kernels.fused_layers, len(self.layers)), len(self.layers) + 1)
+        self._spare: DefaultDict[range, List[FeatureMaps]] = defaultdict(list)
 
-    def look(self, network: ConditionalVAE, images: Images, rows: torch.Tensor, columns: torch.Tensor) -> Seen:
-        """Images (B of them) -> features, into rows (B, F) and into columns (F, B).
+    def encoder_forward(
+        self, network: ConditionalVAE, images: Images, rows: torch.Tensor, columns: torch.Tensor
+    ) -> SavedTensors:
+        """Encode B images into rows (B, F) and columns (F, B).
 
-        What is returned goes to look_back; the images must stay as they are until then.
+        Pass the result to encoder_backward exactly once; the images must not change until then.
         """
-        parameters = list(network.image_encoder.parameters())
-        chain = self.encoder_chain(network)
-        values = [self.borrow(self.inwards) for _ in range(self._groups(len(images)))]
+        parameters, layers = list(network.image_encoder.parameters()), self._encoder_layers(network)
+        maps = [self._borrow(self._inner_maps) for _ in range(self._groups(len(images)))]
 
         def encode(group: int, members: slice) -> None:
-            self.kernels.encode(chain, images[members], values[group], rows[members], columns.t()[members])
+            outputs = rows[members], columns.t()[members]
+            self.kernels.encoder_forward(layers, images[members], maps[group], *outputs)
 
-        self.for_each_group(len(images), encode)
-        return Seen(images, parameters, chain, values)
+        self._run(self._for_groups(len(images), encode))
+        return SavedTensors(images, parameters, layers, maps)
 
-    def look_back(
-        self, seen: Seen, slopes: torch.Tensor, pairs: Sequence[Pair] = (), extra: Sequence[Job] = ()
-    ) -> LookedBack:
-        """Slopes (B, F) at the features -> gradients of the encoder's weights and biases, in their order.
+    def encoder_backward(
+        self, saved: SavedTensors, gradient: torch.Tensor, pairs: Sequence[Pair] = (), extra: Sequence[Job] = ()
+    ) -> EncoderGradients:
+        """Return the gradients of the encoder's weights and biases from the gradient (B, F) at the features.
 
-        pairs: of products that can wait until now. In small pieces, they keep all threads busy to the end. extra: what
-        else is to be done until then, by whichever thread is free.
+        Args:
+            pairs: Factors of further matrix products; in small pieces, they keep all threads busy until the end.
+            extra: Further work, done by whichever thread is free.
         """
-        gradients = Gradients(seen.parameters, len(seen.values))
-        products, tasks = self._divide(pairs)
+        group_gradients = GroupGradients(saved.parameters, len(saved.maps))
+        products, tasks = self._split_products(pairs)
         sums = [torch.zeros(())] * len(tasks)
 
-        def differentiate(group: int, members: slice) -> None:
-            values, flow = seen.values[group], self.borrow(self._deep)
-            arguments = seen.images[members], values, flow, slopes[members], gradients.of(group)
-            self.kernels.encode_back(seen.chain, *arguments)
-            self.give_back(flow, self._deep)
-            self.give_back(values, self.inwards)
+        def backward(group: int, members: slice) -> None:
+            maps, scratch = saved.maps[group], self._borrow(self._deep_maps)
+            arguments = saved.images[members], maps, scratch, gradient[members], group_gradients.addresses(group)
+            self.kernels.encoder_backward(saved.layers, *arguments)
+            self._give_back(scratch, self._deep_maps)
+            self._give_back(maps, self._inner_maps)
 
         def multiply(index: int) -> None:
             left, right, out = tasks[index]
             self._multiply(left, right, out)
-            sums[index] = out.sum()  # here, where it is in the cache
+            sums[index] = out.sum()  # here, while it is in the cache
 
         multiplications = [partial(multiply, index) for index in range(len(tasks))]
-        self._share([*self._of_groups(len(seen.images), differentiate), *multiplications, *extra])
-        found, total = gradients.summed()
-        return LookedBack(found, products, total + sum(sums))
+        self._run([*self._for_groups(len(saved.images), backward), *multiplications, *extra])
+        gradients, total = group_gradients.reduce()
+        return EncoderGradients(gradients, products, total + sum(sums))
 
     def reconstruct(
         self,
@@ -118,129 +126,145 @@ class NativeImages:
         features: torch.Tensor,
         images: Images,
         weights: torch.Tensor,
-        slopes: torch.Tensor,
+        feature_gradient: torch.Tensor,
         extra: Sequence[Job] = (),
-    ) -> Errors:
-        """Decode features (F, B), compare with images, and come back.
+    ) -> Reconstruction:
+        """Decode features, compare with images, and compute the gradients of sum_i weights_i errors_i.
 
-        Fills slopes (F, B), and returns gradients, with those of the errors' sum weighted by weights (B,). extra: as in
-        look_back.
+        Args:
+            features: (F, B).
+            weights: (B,) weight of each image's mean squared error.
+            feature_gradient: Output (F, B).
+            extra: Further work, done by whichever thread is free.
         """
-        pixels, parameters = images[0].numel(), _inwards(network.image_decoder.parameters())
-        chain, scales, errors = self.decoder_chain(network), weights * (2.0 / pixels), torch.empty(len(images))
-        gradients = Gradients(parameters, self._groups(len(images)))
+        pixels, parameters = images[0].numel(), _reverse_layers(network.image_decoder.parameters())
+        layers, scales, errors = self._decoder_layers(network), weights * (2.0 / pixels), torch.empty(len(images))
+        gradients = GroupGradients(parameters, self._groups(len(images)))
 
-        def compare(group: int, members: slice) -> None:
-            rooms = self.borrow(self._deep), self.borrow(self._deep)
-            target = images[members], scales[members]
-            results = slopes.t()[members], errors[members], gradients.of(group)
-            self.kernels.decode_back(chain, features.t()[members], *target, rooms, *results)
-            for room in rooms:
-                self.give_back(room, self._deep)
+        def reconstruct(group: int, members: slice) -> None:
+            scratch = self._borrow(self._deep_maps), self._borrow(self._deep_maps)
+            outputs = feature_gradient.t()[members], errors[members], gradients.addresses(group)
+            inputs = features.t()[members], images[members], scales[members]
+            self.kernels.decoder_forward_backward(layers, *inputs, scratch, *outputs)
+            for maps in scratch:
+                self._give_back(maps, self._deep_maps)
 
-        self._share([*self._of_groups(len(images), compare), *extra])
-        return Errors(errors / pixels, gradients)
+        self._run([*self._for_groups(len(images), reconstruct), *extra])
+        return Reconstruction(errors / pixels, gradients)
+
+    def encode(self, network: ConditionalVAE, images: Images) -> torch.Tensor:
+        """Return features (B, F) of B images (H, W, 3) uint8, without a backward pass."""
+        layers, features = self._encoder_layers(network), torch.empty((len(images), network.feature_size))
+
+        def encode(_: int, members: slice) -> None:
+            maps = self._borrow(self._inner_maps)
+            self.kernels.encoder_forward(layers, images[members], maps, features[members])
+            self._give_back(maps, self._inner_maps)
+
+        self._run(self._for_groups(len(images), encode))
+        return features
+
+    def decode(self, network: ConditionalVAE, features: torch.Tensor) -> torch.Tensor:
+        """Return images (B, H, W, 3) decoded from features (B, F), without a backward pass."""
+        layers, all_maps = self._decoder_layers(network), range(len(self.layers) + 1)
+        channels, *size = self.layers[0].outer
+        images = torch.empty((len(features), *size, channels))
+
+        def decode(_: int, members: slice) -> None:
+            maps = self._borrow(all_maps)
+            self.kernels.decoder_forward(layers, features[members], maps)
+            decoded = images[members].numpy()
+            decoded[:] = maps.tensors[0].numpy().transpose(3, 1, 2, 0)[: len(decoded)]
+            self._give_back(maps, all_maps)
+
+        self._run(self._for_groups(len(features), decode))
+        return images
 
     def linear(self, layer: nn.Linear, inputs: torch.Tensor) -> torch.Tensor:
-        """layer(inputs), inputs (B, I) -> (B, O)."""
-        return self.product(layer.weight, inputs.t().contiguous()).add_(layer.bias[:, None]).t()
+        """Return layer(inputs): (B, I) -> (B, O)."""
+        return self.matmul(layer.weight, inputs.t().contiguous()).add_(layer.bias[:, None]).t()
 
-    def product(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-        """Product (M, N) of left (M, K), any strides, and right (K, N), contiguous, on all threads."""
-        (found,), tasks = self._divide([(left, right)])
-        self._share([partial(self._multiply, *task) for task in tasks])
-        return found
+    def matmul(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        """Return left (M, K), any strides, times right (K, N), contiguous, computed by all threads."""
+        (product,), tasks = self._split_products([(left, right)])
+        self._run([partial(self._multiply, *task) for task in tasks])
+        return product
 
-    def encoder_chain(self, network: ConditionalVAE) -> Chain:
-        """The convolutions of an image encoder of this geometry."""
+    def _encoder_layers(self, network: ConditionalVAE) -> PackedLayers:
         return self.kernels.pack(self.layers, list(network.image_encoder.parameters()))
 
-    def decoder_chain(self, network: ConditionalVAE) -> Chain:
-        """The transposed convolutions of an image decoder of this geometry."""
-        return self.kernels.pack(self.layers, _inwards(network.image_decoder.parameters()))
+    def _decoder_layers(self, network: ConditionalVAE) -> PackedLayers:
+        return self.kernels.pack(self.layers, _reverse_layers(network.image_decoder.parameters()))
 
-    def for_each_group(self, count: int, task: Callable[[int, slice], None]) -> None:
-        """Call task(group, its images) for the groups of `count` images, on all threads."""
-        self._share(self._of_groups(count, task))
-
-    @property
-    def inwards(self) -> range:
-        """All sides but the image's."""
-        return range(1, len(self.layers) + 1)
-
-    def borrow(self, sides: range) -> Room:
-        """Room for one group's values on some sides of the layers, counted from the image.
-
-        Given back, it is used again: fresh memory of this size costs more in page faults than the arithmetic.
-        """
+    def _borrow(self, indices: range) -> FeatureMaps:
+        """Scratch memory for one group; reused, because page faults cost more than the arithmetic."""
         try:
-            return self._spare[sides].pop()
+            return self._spare[indices].pop()
         except IndexError:
-            return self.kernels.room(self.layers, sides)
+            return self.kernels.allocate(self.layers, indices)
 
-    def give_back(self, room: Room, sides: range) -> None:
-        """Return what was borrowed."""
-        self._spare[sides].append(room)
+    def _give_back(self, maps: FeatureMaps, indices: range) -> None:
+        self._spare[indices].append(maps)
 
-    def _divide(self, pairs: Sequence[Pair]) -> Tuple[List[torch.Tensor], List[Task]]:
-        """-> room for the product of each pair, and what is to be multiplied for them."""
-        found: List[torch.Tensor] = []
-        tasks: List[Task] = []
+    def _split_products(self, pairs: Sequence[Pair]) -> Tuple[List[torch.Tensor], List[Product]]:
+        """Return the memory of each pair's product, and the parts to compute: (left, right, out)."""
+        products: List[torch.Tensor] = []
+        tasks: List[Product] = []
         for left, right in pairs:
             (rows, _), columns = left.shape, right.shape[1]
             out = left.new_empty((rows, columns))
-            found.append(out)
+            products.append(out)
             if left.numel() * columns <= SMALL:
                 tasks.append((left, right, out))
             elif rows > columns:
                 tasks += [(left[part], right, out[part]) for part in self._parts(rows)]
             else:
                 tasks += [(left, right[:, part], out[:, part]) for part in self._parts(columns)]
-        return found, tasks
+        return products, tasks
 
     def _multiply(self, left: torch.Tensor, right: torch.Tensor, out: torch.Tensor) -> None:
-        # Torch's own product is far from this machine's best on some processors, but has the small ones.
-        if out.shape[1] < self.kernels.panel:
+        """Multiply on the kernels, which are faster than torch on some processors; torch does narrow products."""
+        if out.shape[1] < self.kernels.panel_columns:
             torch.mm(left, right, out=out)
         else:
-            self.kernels.multiply(left, right, out)
+            self.kernels.matmul(left, right, out)
 
     def _groups(self, count: int) -> int:
+        """Return the number of groups that hold `count` images."""
         return -(-count // self.kernels.lanes)
 
-    def _members(self, group: int) -> slice:
-        return slice(group * self.kernels.lanes, (group + 1) * self.kernels.lanes)
-
     def _parts(self, count: int) -> List[slice]:
-        """Parts of range(count), whole panels but for the last."""
-        panel = self.kernels.panel
+        """Split range(count) into parts of whole panels, except the last."""
+        panel = self.kernels.panel_columns
         parts = max(1, min(PARTS * self.threads, count // panel))
         bounds = [count * part // parts // panel * panel for part in range(parts)] + [count]
         return [slice(*pair) for pair in zip(bounds, bounds[1:])]
 
-    def _of_groups(self, count: int, task: Callable[[int, slice], None]) -> List[Job]:
-        """task(group, its images) for each of the groups of `count` images."""
-        return [partial(task, group, self._members(group)) for group in range(self._groups(count))]
+    def _for_groups(self, count: int, task: Callable[[int, slice], None]) -> List[Job]:
+        """Return a job task(group, slice of its images) for each group of `count` images."""
+        lanes = self.kernels.lanes
+        slices = [slice(first, first + lanes) for first in range(0, count, lanes)]
+        return [partial(task, group, members) for group, members in enumerate(slices)]
 
-    def _share(self, jobs: Sequence[Job]) -> None:
-        """Call all of them, each by whichever thread is free; the caller is one of them."""
-        left, asked_only = iter(jobs), torch.is_inference_mode_enabled()
+    def _run(self, jobs: Sequence[Job]) -> None:
+        """Run all jobs, each on whichever thread is free, the calling one included."""
+        remaining, inference = iter(jobs), torch.is_inference_mode_enabled()
 
         def work() -> None:
-            with torch.inference_mode(asked_only), torch.no_grad():  # for this thread, whichever it is
-                for job in left:
+            with torch.inference_mode(inference), torch.no_grad():  # both are settings of the thread
+                for job in remaining:
                     job()
 
-        helping = [self._pool.submit(work) for _ in range(min(len(jobs), self.threads) - 1)]
+        helpers = [self._pool.submit(work) for _ in range(min(len(jobs), self.threads) - 1)]
         try:
             work()
         finally:
-            wait(helping)
-        for helper in helping:
+            wait(helpers)
+        for helper in helpers:
             helper.result()
 
 
-def _inwards(parts: Iterable[torch.Tensor]) -> List[torch.Tensor]:
-    """Weight, bias, weight, bias, ... of a decoder's layers in the order from the image inwards, or back."""
-    listed = list(parts)
+def _reverse_layers(parameters: Iterable[torch.Tensor]) -> List[torch.Tensor]:
+    """Reverse the order of layers: weight, bias, weight, bias, ... of a decoder from the image inwards, or back."""
+    listed = list(parameters)
     return [part for pair in zip(listed[-2::-2], listed[::-2]) for part in pair]

@@ -1,8 +1,11 @@
-"""The loss on the compiled kernels, with all its gradients taken along with it.
+"""The loss of Paper, Eq. 30, on the compiled kernels, with its gradient written out.
 
-Between the layers an observation is a column, (width, B): what the kernels leave behind and take up, in the order that
-they have it in. Gradients are written out: autograd's bookkeeping, and the copies that it makes to be safe, keep one
-thread busy for as long as a layer takes two.
+Between the layers, activations are columns (width, B): the order in which the kernels read and write them. Autograd is
+not used because its bookkeeping and its copies keep one thread busy for as long as a layer takes two.
+
+Order of computation: encoder_forward (images -> features), _Perceptron.forward (features -> latents), sampling,
+_Perceptron.forward (latents -> decoder features and log std), reconstruct (decode, compare, and return), then the
+backward passes in reverse order. Gradients of weights are products that are computed last, to fill idle threads.
 """
 
 from __future__ import annotations
@@ -12,134 +15,163 @@ from typing import Any, Callable, List, Optional, Tuple
 import torch
 from torch import nn
 
-from embodied_active_learning.model.cvae import ConditionalVAE, is_within_limits, latent_gaussian, limited
-from embodied_active_learning.model.native.convolutions import NativeImages, Pair
-from embodied_active_learning.model.objective import Batch, Loss, error_weights, log_std_slopes, pair_loss
+from embodied_active_learning.model.cvae import ConditionalVAE, clamp_mask, clamped, latent_gaussian
+from embodied_active_learning.model.native.bindings import Kernels
+from embodied_active_learning.model.native.convolutions import NativeConvolutions, Pair
+from embodied_active_learning.model.objective import (
+    HALF_LOG_TWO_PI,
+    Batch,
+    LossTerms,
+    kl_divergence,
+    total_loss,
+)
 
 
 class NativeLoss:
-    """Stands in for plain_loss, with the same arguments, in single precision."""
+    """Replaces PlainLoss on the CPU: same value and gradient, in single precision."""
 
-    def __init__(self, images: NativeImages) -> None:
-        self._images = images
+    def __init__(self, network: ConditionalVAE, kernels: Kernels, description: str) -> None:
+        self.convolutions = NativeConvolutions(network, kernels)
+        self.description = f"{description}, {self.convolutions.threads} threads"
+        self.torch_threads = 1
 
-    def __call__(
+    @torch.no_grad()
+    def compute_gradients(
         self,
         network: ConditionalVAE,
         pair: Batch,
         noise: torch.Tensor,
         beta: float,
         gamma: float,
-        settle: Callable[[], None] = lambda: None,
-    ) -> Loss:
-        """See plain_loss. settle: called before other weights than the image encoder's are read."""
-        with torch.no_grad():
-            images, size, width = self._images, len(noise), network.feature_size
-            encoder, decoder = (_Perceptron(part, images) for part in (network.encoder, network.decoder))
-            rows = torch.empty((size, width + network.state_size))
-            columns = torch.empty(rows.shape[::-1])
-            rows[:, width:], columns[width:] = pair.states[:size], pair.states[:size].t()
-            seen = images.look(network, pair.images[:size], rows[:, :width], columns[:width])
-            settle()
-            latent = _Latent(encoder.run(columns), noise.t())
-            sampled = torch.cat((latent.sample, latent.sample), dim=1)
-            decoded = decoder.run(torch.cat((sampled, pair.states.t())))
-            slopes, log_std = torch.empty_like(decoded), limited(decoded[0])
-            weights = error_weights(log_std, gamma)
-            turn = decoder.turn_inputs, lambda: encoder.turn_inputs(rows)
-            errors = images.reconstruct(network, decoded[1:], pair.images, weights, slopes[1:], turn)
-            slopes[0] = log_std_slopes(errors.each, log_std, gamma) * is_within_limits(decoded[0])
-            below = decoder.run_back(slopes)
-            of_sample = below[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
-            below = encoder.run_back(latent.slopes(of_sample, beta))
-            later = [
-                _Later(lambda: pair_loss(errors.each, log_std, latent.gaussian, beta, gamma)),
-                _Later(errors.gradients),
-                _Later(encoder.bias_gradients),
-                _Later(decoder.bias_gradients),
-            ]
-            back = images.look_back(seen, below[:, :width], [*encoder.pairs, *decoder.pairs], later)
-            loss, *others = (one.result for one in later)
-            (of_images, *of_biases), sums = zip(*others)
-            of_layers = zip(back.products, [bias for biases in of_biases for bias in biases])
-            gradients = [*back.gradients, *(part for both in of_layers for part in both), *of_images]
-        return loss._replace(gradients=gradients, gradient_sum=back.sum + sum(sums))
+        join: Callable[[], None] = lambda: None,
+    ) -> LossTerms:
+        """See LossFunction."""
+        convolutions, size, width = self.convolutions, len(noise), network.feature_size
+        encoder, decoder = (_Perceptron(part, convolutions) for part in (network.encoder, network.decoder))
+        rows = torch.empty((size, width + network.state_size))
+        columns = torch.empty(rows.shape[::-1])
+        rows[:, width:], columns[width:] = pair.states[:size], pair.states[:size].t()
+        saved = convolutions.encoder_forward(network, pair.images[:size], rows[:, :width], columns[:width])
+        join()
+        latent = _Latent(encoder.forward(columns), noise.t())
+        samples = torch.cat((latent.sample, latent.sample), dim=1)
+        decoded = decoder.forward(torch.cat((samples, pair.states.t())))
+        gradient, log_std = torch.empty_like(decoded), clamped(decoded[0])
+        weights = _error_weights(log_std, gamma)
+        transposes = decoder.transpose_inputs, lambda: encoder.transpose_inputs(rows)
+        found = convolutions.reconstruct(network, decoded[1:], pair.images, weights, gradient[1:], transposes)
+        gradient[0] = _log_std_gradient(found.errors, log_std, gamma) * clamp_mask(decoded[0])
+        at_inputs = decoder.backward(gradient)
+        at_samples = at_inputs[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
+        at_inputs = encoder.backward(latent.backward(at_samples, beta))
+        last = _Deferred(found.gradients), _Deferred(encoder.bias_gradients), _Deferred(decoder.bias_gradients)
+        factors = [*encoder.weight_gradient_factors, *decoder.weight_gradient_factors]
+        back = convolutions.encoder_backward(saved, at_inputs[:, :width], factors, last)
+        (image_decoder, *biases), sums = zip(*(deferred.result for deferred in last))
+        linear = zip(back.products, [bias for part in biases for bias in part])
+        gradients = [*back.gradients, *(part for layer in linear for part in layer), *image_decoder]
+        for parameter, part in zip(network.parameters(), gradients):
+            parameter.grad = part
+        halves = _reconstruction_terms(found.errors, log_std)
+        kl = kl_divergence(latent.gaussian)
+        total = total_loss(halves[0], halves[1], kl, beta, gamma)
+        return LossTerms(total, halves[0], halves[1], kl, latent.gaussian.mean, back.sum + sum(sums))
 
 
-class _Later:
-    """Something that nobody waits for yet, made when it is called."""
+def _reconstruction_terms(errors: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
+    """Negative log likelihoods (2,) of both halves from the mean squared errors (2 B,) and log std (2 B,)."""
+    terms = 0.5 * errors * torch.exp(-2.0 * log_std) + log_std
+    return terms.unflatten(0, (2, len(terms) // 2)).mean(dim=1) + HALF_LOG_TWO_PI
 
-    def __init__(self, make: Callable[[], Any]) -> None:
-        self._make = make
+
+def _error_weights(log_std: torch.Tensor, gamma: float) -> torch.Tensor:
+    """D loss / d mean squared error (2 B,): 1 / (2 std^2 B), in the second half times gamma."""
+    weights = 0.5 * torch.exp(-2.0 * log_std) / (len(log_std) // 2)
+    weights[len(weights) // 2 :] *= gamma
+    return weights
+
+
+def _log_std_gradient(errors: torch.Tensor, log_std: torch.Tensor, gamma: float) -> torch.Tensor:
+    """D loss / d log std (2 B,): (1 - error / std^2) / B, in the second half times gamma."""
+    gradient = (1.0 - errors * torch.exp(-2.0 * log_std)) / (len(log_std) // 2)
+    gradient[len(gradient) // 2 :] *= gamma
+    return gradient
+
+
+class _Deferred:
+    """A computation whose result is needed later, run as a job."""
+
+    def __init__(self, compute: Callable[[], Any]) -> None:
+        self._compute = compute
         self.result: Any = None
 
     def __call__(self) -> None:
-        self.result = self._make()
+        self.result = self._compute()
 
 
 class _Latent:
-    """An encoder's outputs (2 L, B) as a Gaussian, and a sample (L, B) of it made from standard normal noise."""
+    """The encoder's outputs (2 L, B) as a Gaussian, and a sample (L, B) of it made from standard normal noise."""
 
     def __init__(self, outputs: torch.Tensor, noise: torch.Tensor) -> None:
         self.gaussian = latent_gaussian(outputs.t())
         self.sample = (self.gaussian.mean + self.gaussian.std * noise.t()).t()
         self._outputs, self._noise = outputs, noise
 
-    def slopes(self, of_sample: torch.Tensor, beta: float) -> torch.Tensor:
-        """From d loss / d sample (L, B) that of the outputs (2 L, B), with beta times that of the KL divergence."""
-        slopes = torch.empty_like(self._outputs)
-        of_mean, of_log_variance = slopes.chunk(2)
-        weight = beta / of_sample.shape[1]
+    def backward(self, at_sample: torch.Tensor, beta: float) -> torch.Tensor:
+        """Return the gradient (2 L, B) at the outputs from that at the sample (L, B) and beta times the KL's."""
+        gradient = torch.empty_like(self._outputs)
+        at_mean, at_log_variance = gradient.chunk(2)
+        weight = beta / at_sample.shape[1]
         mean, log_variance, std = (part.t() for part in (*self.gaussian, self.gaussian.std))
-        of_mean[:] = of_sample + weight * mean
-        of_log_variance[:] = 0.5 * (of_sample * self._noise * std + weight * (log_variance.exp() - 1.0))
-        of_log_variance *= is_within_limits(self._outputs.chunk(2)[1])
-        return slopes
+        at_mean[:] = at_sample + weight * mean
+        at_log_variance[:] = 0.5 * (at_sample * self._noise * std + weight * (log_variance.exp() - 1.0))
+        at_log_variance *= clamp_mask(self._outputs.chunk(2)[1])
+        return gradient
 
 
 class _Perceptron:
-    """Fully connected layers with ReLU between them: there, and back once.
+    """Linear layers with ReLU in between, for one forward and one backward pass.
 
-    Nobody waits for the gradients of weights and biases: run_back leaves behind what they are made of.
+    The backward pass computes the gradients at the inputs only and keeps the factors of the weights' gradients.
     """
 
-    def __init__(self, layers: nn.Sequential, images: NativeImages) -> None:
+    def __init__(self, layers: nn.Sequential, convolutions: NativeConvolutions) -> None:
         self._layers = [layer for layer in layers if isinstance(layer, nn.Linear)]
-        self._product = images.product
+        self._matmul = convolutions.matmul
         self._inputs: List[torch.Tensor] = []
-        self._rows: List[torch.Tensor] = []
-        self._slopes: List[torch.Tensor] = []
+        self._input_rows: List[torch.Tensor] = []
+        self._gradients: List[torch.Tensor] = []
 
-    def run(self, inputs: torch.Tensor) -> torch.Tensor:
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Inputs (I, B) -> outputs (O, B)."""
         for layer in self._layers:
             if self._inputs:
                 inputs.relu_()
             self._inputs.append(inputs)
-            inputs = self._product(layer.weight, inputs).add_(layer.bias[:, None])
+            inputs = self._matmul(layer.weight, inputs).add_(layer.bias[:, None])
         return inputs
 
-    def turn_inputs(self, first: Optional[torch.Tensor] = None) -> None:
-        """What run_back needs of each layer's inputs, (B, I). first: of the first layer, where it is at hand."""
+    def transpose_inputs(self, first: Optional[torch.Tensor] = None) -> None:
+        """Save each layer's inputs as rows (B, I) for the backward pass; first: the first layer's, if available."""
         known = [] if first is None else [first]
-        self._rows = known + [inputs.t().contiguous() for inputs in self._inputs[len(known) :]]
+        self._input_rows = known + [inputs.t().contiguous() for inputs in self._inputs[len(known) :]]
 
-    def run_back(self, slopes: torch.Tensor) -> torch.Tensor:
-        """Slopes (O, B) at the outputs -> those at the inputs, (B, I)."""
-        slopes = slopes.t()
-        for layer, rows in zip(self._layers[::-1], self._rows[::-1]):
-            self._slopes.insert(0, slopes)
-            slopes = self._product(slopes, layer.weight)
-            if rows is not self._rows[0]:
-                slopes *= rows.sign()  # 0 or 1: no number behind a ReLU is negative
-        return slopes
+    def backward(self, gradient: torch.Tensor) -> torch.Tensor:
+        """Gradient (O, B) at the outputs -> gradient (B, I) at the inputs."""
+        gradient = gradient.t()
+        for layer, rows in zip(self._layers[::-1], self._input_rows[::-1]):
+            self._gradients.insert(0, gradient)
+            gradient = self._matmul(gradient, layer.weight)
+            if rows is not self._input_rows[0]:
+                gradient *= rows.sign()  # the mask of the ReLU, whose outputs are not negative
+        return gradient
 
     @property
-    def pairs(self) -> List[Pair]:
-        """Once it was run back: what the gradient of each layer's weight is the product of."""
-        return [(slopes.t(), rows) for slopes, rows in zip(self._slopes, self._rows)]
+    def weight_gradient_factors(self) -> List[Pair]:
+        """Matrices whose product is the gradient of each layer's weight; available after backward."""
+        return [(gradient.t(), rows) for gradient, rows in zip(self._gradients, self._input_rows)]
 
     def bias_gradients(self) -> Tuple[List[torch.Tensor], torch.Tensor]:
-        """Once it was run back: the gradient of each layer's bias, and the sum of all their elements."""
-        gradients = [slopes.sum(0) for slopes in self._slopes]
+        """Return the gradient of each layer's bias, and the sum of all their elements; available after backward."""
+        gradients = [gradient.sum(0) for gradient in self._gradients]
         return gradients, torch.cat(gradients).sum()

@@ -1,0 +1,49 @@
+/* Vector types, and feature maps that hold one image of a group in each lane of every vector. */
+#pragma once
+
+#include <stdint.h>
+
+#ifdef __AVX512F__
+#include <immintrin.h>
+#define LANES 16
+#else
+#define LANES 8
+#endif
+
+typedef float vec __attribute__((vector_size(4 * LANES)));
+typedef float unaligned_vec __attribute__((vector_size(4 * LANES), aligned(4)));
+typedef int32_t int_vec __attribute__((vector_size(4 * LANES)));
+
+#ifdef __OPTIMIZE__
+#define INLINE static inline __attribute__((always_inline))
+#else /* inlining everything only slows down an unoptimised build */
+#define INLINE static inline
+#endif
+#define UNROLL _Pragma("GCC unroll 32")
+
+/* Keep a value in a register: GCC would otherwise load it from memory again for each product. */
+#ifdef __AVX512F__
+#define LOAD(name, from)                                                                                               \
+    vec name = from;                                                                                                   \
+    __asm__("" : "+v"(name))
+#else
+#define LOAD(name, from) vec name = from
+#endif
+
+/* Activations or gradients (channels, rows, columns, LANES). Only the last stored_rows rows are in memory: row y at
+ * position y & row_mask. row_mask is -1 if all rows are stored, else stored_rows - 1 with stored_rows a power of two. */
+typedef struct {
+    vec *values;
+    int channels, rows, columns, stored_rows, row_mask;
+} feature_map;
+
+INLINE long channel_stride(const feature_map *m) { return (long)m->stored_rows * m->columns; }
+
+INLINE vec *row(const feature_map *m, int channel, int y) {
+    return m->values + ((long)channel * m->stored_rows + (y & m->row_mask)) * m->columns;
+}
+
+INLINE int min(int a, int b) { return a < b ? a : b; }
+
+/* value where `where` is positive, else 0. NaN is kept, so that a diverged network is noticed. */
+INLINE vec mask_positive(vec value, vec where) { return (vec)((int_vec)value & ~(int_vec)(where <= 0.0f)); }
