@@ -238,8 +238,7 @@ class Learner:
         self.skipped, self.rollbacks = skipped, rollbacks
         if self.replicas.updates > self.updates:
             self.refresh()  # replaces the diverged model
-        generator = np.random.PCG64()
-        generator.state = self._random.bit_generator.state
+        generator: Any = self._random.bit_generator  # PCG64, which has jumped()
         self._random = np.random.Generator(generator.jumped(rollbacks))
 
     def _load_counters(self, counters: Dict[str, Any]) -> None:
