@@ -21,7 +21,6 @@ from measuring import Row, Section, Turn, resident_memory, row, run, timed
 
 from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.geometry import move, wrap
-from embodied_active_learning.model.allocator import keep_freed_memory
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
@@ -208,7 +207,6 @@ def _an_image(observe: Callable[[np.ndarray, np.ndarray], None], stream: Stream)
 
 def measure(arguments: argparse.Namespace) -> List[Section]:
     """Both sections."""
-    keep_freed_memory()
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     config = Config.from_dict({"session": {"name": "benchmark"}})

@@ -22,7 +22,6 @@ from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.kernel import workspace_coverage
 from embodied_active_learning.exploration.objective import target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.model.allocator import keep_freed_memory
 from embodied_active_learning.model.learner import Learner
 
 HISTORIES = (0, 200, 1000, 3000)  # states visited before
@@ -133,7 +132,6 @@ def coverage_section(config: Config, arguments: argparse.Namespace) -> Section:
 def measure(arguments: argparse.Namespace) -> List[Section]:
     """All three sections."""
     torch.set_num_threads(1)
-    keep_freed_memory()
     values = {"samples": arguments.samples, "fresh_samples": arguments.fresh, "kernel_variance": 0.0576}
     config = Config.from_dict({"exploration": values, "training": {"device": "cpu"}})
     learner = Learner(config, Store(), 0)

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Time, processor time and memory of a learning run through roslaunch: simulation, ROS, planner, trainer, all files.
+"""Time, processor time and memory of a learning run with roslaunch: simulation, planner, trainer and all files.
 
     source setup.bash && python3 benchmarks/benchmark_run.py [--steps 3000]
 
-The paper's profile in lock-step. A short run is taken by default, from which the time of 3000 steps is extrapolated;
---steps 3000 measures it.
+The paper's profile in lock-step. By default the time of 3000 steps is extrapolated from a short run; --steps 3000
+measures it.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from measuring import Row, Section, run
 
 FULL = 3000  # steps of the paper's run
 NODES = ("pybullet_arm", "ergodic_planner", "trainer", "fingerprinter", "monitor", "robot_state_publisher")
-LEARNING = 80  # steps after which each brings its updates
-PERIOD = 0.5  # s, between two looks at the processes
-SECONDS_A_STEP = 2.0  # s, beyond which a run counts as hanging
+LEARNING = 80  # steps after which every step has its updates
+PERIOD = 0.5  # s, between two measurements
+STEP_TIMEOUT = 2.0  # s per step, plus START_TIMEOUT for the whole run
+START_TIMEOUT = 120.0  # s
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -37,7 +38,7 @@ class Usage(NamedTuple):
 
 
 class Learned(NamedTuple):
-    """A run: (seconds since roslaunch, steps made) again and again, what each node used at most, updates made."""
+    """A run: (seconds since roslaunch, steps made) over time, the largest usage of each node, updates made."""
 
     progress: List[Tuple[float, int]]
     used: Dict[str, Usage]
@@ -45,12 +46,12 @@ class Learned(NamedTuple):
 
 
 def learn(steps: int, root: Path) -> Learned:
-    """Run learn.launch. Raises SystemExit with the end of its output when it fails or hangs."""
+    """Run learn.launch. Raises SystemExit with the end of its output if it fails or times out."""
     arguments = [f"steps:={steps}", "session:=benchmark", f"session_root:={root}", "seed:=0"]
     environment = {**os.environ, "ROS_HOME": str(root), "ROS_HOSTNAME": "localhost"}
     find_port = ["python3", str(Path(__file__).parents[1] / "tools" / "free_port.py"), "11311"]
     port = subprocess.run(find_port, check=True, capture_output=True, text=True).stdout.strip()
-    begin, deadline = time.monotonic(), time.monotonic() + SECONDS_A_STEP * steps + 120.0
+    begin, deadline = time.monotonic(), time.monotonic() + STEP_TIMEOUT * steps + START_TIMEOUT
     progress: List[Tuple[float, int]] = []
     used: Dict[str, Usage] = {}
     with (root / "output.txt").open("w", encoding="utf-8") as output:
@@ -73,13 +74,13 @@ def learn(steps: int, root: Path) -> Learned:
 
 
 def steps_made(root: Path) -> int:
-    """Rows of the session's table of steps."""
+    """Return the number of rows in the session's table of steps."""
     table = root / "benchmark" / "exploration.csv"
     return max(0, table.read_bytes().count(b"\n") - 1) if table.exists() else 0
 
 
 def usage(root: Path) -> Dict[str, Usage]:
-    """What the nodes of the run whose logs lie under root have used so far."""
+    """Return the usage so far of the nodes whose logs are under root, by name."""
     found: Dict[str, Usage] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -87,18 +88,18 @@ def usage(root: Path) -> Dict[str, Usage]:
             [name] = [node for node in NODES if f"__name:={node}\0" in command and str(root) in command]
             fields = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
             pages = int((folder / "statm").read_text(encoding="utf-8").split()[1])
-        except (OSError, ValueError):  # another process, or one that has just ended
+        except (OSError, ValueError):  # not a node of this run, or ended meanwhile
             continue
         found[name] = Usage((int(fields[11]) + int(fields[12])) / TICKS, pages * os.sysconf("SC_PAGE_SIZE") / 2**20)
     return found
 
 
 def measure(arguments: argparse.Namespace) -> List[Section]:
-    """One section."""
+    """Return one section."""
     with tempfile.TemporaryDirectory() as folder:
         learned = learn(arguments.steps, Path(folder))
     begun = next(moment for moment in learned.progress if moment[1] >= LEARNING)
-    # The last row waits for all the updates that are left, which a run of any length has as many of.
+    # The last step waits for the remaining updates, whose number does not depend on the length of the run.
     explored = next(moment for moment in learned.progress if moment[1] >= arguments.steps - 1)
     started = next(time for time, steps in learned.progress if steps)
     rate = (explored[0] - begun[0]) / (explored[1] - begun[1])
@@ -107,9 +108,9 @@ def measure(arguments: argparse.Namespace) -> List[Section]:
     measured = "" if arguments.steps == FULL else f", extrapolated from {arguments.steps} steps"
     rows = [
         Row("whole run", value=f"{whole / 60.0:.1f} min for {FULL} steps{measured}", target="10 min"),
-        Row("from roslaunch to the first step", value=f"{started:.1f} s"),
-        Row("a step and its three updates, all files included", wall=1e3 * rate),
-        Row("from the last step to the end: the last updates, model, pictures", value=f"{ending:.1f} s"),
+        Row("roslaunch to first step", value=f"{started:.1f} s"),
+        Row("one step with its three updates, including files", wall=1e3 * rate),
+        Row("last step to the end: last updates, model, figures", value=f"{ending:.1f} s"),
     ]
     for name, used in sorted(learned.used.items(), key=lambda item: -item[1].cpu):
         target = "2000 MiB" if name == "trainer" else ""

@@ -1,15 +1,14 @@
 #!/usr/bin/env python3
-"""Time and memory of model updates: the plain network, torch alone, and what the trainer runs, by turns in one process.
+"""Time and memory of model updates: the plain network and the compiled kernels, alternating in one process.
 
     source setup.bash && python3 benchmarks/benchmark_update.py
 
-Other work on the cores disturbs all alike: trust the ratios before the milliseconds.
+Other load on the cores affects both alike: the ratios are more reliable than the milliseconds.
 """
 
 from __future__ import annotations
 
 import argparse
-import ctypes
 from typing import Callable, Dict, List
 
 import numpy as np
@@ -17,22 +16,17 @@ import torch
 from measuring import Row, Section, resident_memory, rows_of, run, single_precision_peak, take_turns
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.model.allocator import M_MMAP_THRESHOLD, M_TRIM_THRESHOLD, keep_freed_memory
-from embodied_active_learning.model.block_images import BlockImages
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.fast import FastLoss
 from embodied_active_learning.model.learner import Learner
-from embodied_active_learning.model.objective import plain_loss
+from embodied_active_learning.model.objective import PlainLoss
 
-PLAIN = "plain network, eager, memory as PyTorch has it"
-KEPT = "plain network, eager, freed memory kept"
-TORCH = "torch alone: blocks, one decode, no copies"
-CHOSEN = "as the trainer runs it"
-MANY = 3000  # observations of the paper's run
+PLAIN = "plain network, autograd"
+CHOSEN = "as in the trainer"
+OBSERVATIONS = 3000  # of the paper's run
 
 
 class RandomStore:
-    """Observations of noise, in the paper's size: speed does not depend on what is in the images."""
+    """Random observations of the paper's size: the time does not depend on the content."""
 
     def __init__(self, count: int) -> None:
         random = np.random.default_rng(0)
@@ -44,7 +38,7 @@ class RandomStore:
 
 
 def floating_point_operations(network: ConditionalVAE, batch: int) -> float:
-    """Of one update of `batch` images: one encode and two decodes, forwards and backwards, without Adam."""
+    """Return the operations of one update: one encode and two decodes, forward and backward, without Adam."""
     layers = [layer for layer in network.image_encoder if isinstance(layer, torch.nn.Conv2d)]
     convolutions = [
         2.0 * layer.weight.numel() * height * width for layer, (height, width) in zip(layers, network.sizes[1:])
@@ -53,83 +47,61 @@ def floating_point_operations(network: ConditionalVAE, batch: int) -> float:
         sum(2.0 * layer.weight.numel() for layer in part if isinstance(layer, torch.nn.Linear))
         for part in (network.encoder, network.decoder)
     )
-    # The image itself needs no gradient.
+    # No gradient by the image.
     encode = 3.0 * (sum(convolutions) + encoder) - convolutions[0]
     return batch * (encode + 2.0 * 3.0 * (sum(convolutions) + decoder))
 
 
-def handle_memory(keep: bool) -> None:
-    """Keep freed memory, or handle it as glibc does by default once it has met blocks of this size."""
-    if keep:
-        keep_freed_memory()
-        return
-    mallopt = ctypes.CDLL(None).mallopt
-    mallopt(M_MMAP_THRESHOLD, 2**25)
-    mallopt(M_TRIM_THRESHOLD, 2**26)
-
-
 def update_section(arguments: argparse.Namespace) -> Section:
-    """A whole update, from the gathering of the batch to the step of Adam."""
+    """Measure whole updates, from reading the batch to the step of Adam."""
     store, config = RandomStore(256), Config.from_dict({"training": {"device": "cpu"}})
     threads = arguments.threads or torch.get_num_threads()
     torch.set_num_threads(threads)
-    chosen = Learner(config, store, 0)
-    plain, kept = (Learner(config, store, 0, plain_loss) for _ in range(2))
-    blocks = Learner(config, store, 0, FastLoss(BlockImages(plain.network)))
-    variants: Dict[str, Callable[[], object]] = {
-        PLAIN: plain.update,
-        KEPT: kept.update,
-        TORCH: blocks.update,
-        CHOSEN: chosen.update,
-    }
+    learners = {PLAIN: Learner(config, store, 0, PlainLoss("plain network")), CHOSEN: Learner(config, store, 0)}
+    variants: Dict[str, Callable[[], object]] = {name: learner.update for name, learner in learners.items()}
 
     def prepare(name: str) -> None:
-        """Threads and memory of the variant, and an update that is not counted to get used to them."""
-        torch.set_num_threads(threads if name in (PLAIN, KEPT) else chosen.arithmetic.torch_threads)
-        handle_memory(keep=name != PLAIN)
+        """Set the variant's threads, and make one update that is not counted."""
+        torch.set_num_threads(learners[name].loss.torch_threads)
         variants[name]()
 
-    turns = take_turns(variants, arguments.rounds, prepare)
-    handle_memory(keep=True)
-    rows = rows_of(turns, {TORCH: "2 times faster", CHOSEN: "4 times faster"})
+    rows = rows_of(take_turns(variants, arguments.rounds, prepare), {CHOSEN: "4 times faster"})
     peak = single_precision_peak(threads)
-    work = floating_point_operations(plain.network, config.training.batch_size)
+    work = floating_point_operations(learners[PLAIN].network, config.training.batch_size)
     for row in rows:
-        row.peak_share = work / (1e6 * row.wall) / peak if peak else None
-    speed = f"{peak:.0f} GFLOP/s measured" if peak else "not measured, there is no compiler"
+        if row.wall is not None and peak is not None:
+            row.peak_share = work / (1e6 * row.wall) / peak
+    speed = f"{peak:.0f} GFLOP/s measured" if peak else "not measured, no compiler"
     how = (
         f"64 images of 180 x 180, one encode, two decodes, Adam: {work / 1e9:.2f} GFLOP. {threads} threads, torch"
-        f" {torch.__version__}, {chosen.arithmetic.description}. Peak: {speed}. Ratios are to the plain network."
+        f" {torch.__version__}, {learners[CHOSEN].loss.description}. Peak: {speed}. Ratios: to the plain network."
     )
     return Section("One model update", how, rows)
 
 
 def memory_section(arguments: argparse.Namespace) -> Section:
-    """What the process holds when the store is full, and whether it still grows."""
+    """Measure the memory of a process with a full store, and whether it grows."""
     config = Config.from_dict({"training": {"device": "cpu"}})
-    learner = Learner(config, RandomStore(MANY), 0)
-    learner.updates = 3 * MANY - 1  # all observations are in its batches
-    torch.set_num_threads(learner.arithmetic.torch_threads)
-    held = []
+    learner = Learner(config, RandomStore(OBSERVATIONS), 0)
+    learner.updates = 3 * OBSERVATIONS - 1  # batches are drawn from all observations
+    torch.set_num_threads(learner.loss.torch_threads)
+    resident = []
     for _ in range(3):
         for _ in range(arguments.rounds):
             learner.update()
             learner.refresh()
         learner.evaluate()
-        held.append(resident_memory())
-    row = Row(
-        "resident memory", value=f"{held[-1]:.0f} MiB, {held[-1] - held[0]:+.1f} MiB since", target="2000 MiB, flat"
-    )
+        resident.append(resident_memory())
+    value = f"{resident[-1]:.0f} MiB, {resident[-1] - resident[0]:+.1f} MiB since the first measurement"
     how = (
-        f"A learner with {MANY} observations in memory; after {3 * arguments.rounds} updates with an evaluation each"
-        f" {arguments.rounds}, and the difference to {arguments.rounds} updates. The process held the benchmark before."
+        f"A learner with {OBSERVATIONS} observations in memory, after {3 * arguments.rounds} updates with three"
+        f" evaluations; first measurement after {arguments.rounds} updates. Includes what the section above has left."
     )
-    return Section("The trainer's memory", how, [row])
+    return Section("The trainer's memory", how, [Row("resident memory", value=value, target="2000 MiB, constant")])
 
 
 def measure(arguments: argparse.Namespace) -> List[Section]:
-    """Both sections."""
-    keep_freed_memory()
+    """Return both sections."""
     return [update_section(arguments), memory_section(arguments)]
 
 

@@ -1,4 +1,4 @@
-"""What the benchmarks share: taking turns, counting memory, and results that become a table or JSON."""
+"""Shared code of the benchmarks: alternating measurements, memory, and results as tables or JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PEAK_ROUNDS = 5
 
 
 class Turn(NamedTuple):
-    """What one call took: wall time and processor time of this process [ms], and pages fetched from the system."""
+    """Wall time and processor time [ms] of one call in this process, and its page faults."""
 
     wall: float
     cpu: float
@@ -32,7 +32,7 @@ class Turn(NamedTuple):
 
 @dataclass
 class Row:
-    """One measured thing. Times [ms] and page faults are medians; ratio: times faster than the naive way, by turns."""
+    """One measurement. Times [ms] and page faults are medians; ratio: speed-up over the naive variant."""
 
     what: str
     wall: Optional[float] = None
@@ -47,7 +47,7 @@ class Row:
 
 @dataclass
 class Section:
-    """A table: what was measured, how, and the rows."""
+    """A table: title, description and rows."""
 
     title: str
     how: str
@@ -59,7 +59,7 @@ def take_turns(
     rounds: int,
     prepare: Callable[[str], object] = lambda name: None,
 ) -> Dict[str, List[Turn]]:
-    """Call the variants one after the other, again and again. The first rounds are not counted, nor prepare(name)."""
+    """Call the variants alternately. The first rounds, and prepare(name) before each call, are not counted."""
     turns: Dict[str, List[Turn]] = {name: [] for name in variants}
     for _ in range(WARM_UP + rounds):
         for name, call in variants.items():
@@ -69,7 +69,7 @@ def take_turns(
 
 
 def timed(call: Callable[[], object]) -> Turn:
-    """How long one call takes."""
+    """Measure one call."""
     faults, cpu, wall = _faults(), time.process_time(), time.perf_counter()
     call()
     elapsed = time.perf_counter() - wall
@@ -77,7 +77,7 @@ def timed(call: Callable[[], object]) -> Turn:
 
 
 def row(what: str, turns: Sequence[Turn], naive: Optional[Sequence[Turn]] = None, target: str = "") -> Row:
-    """Medians of the turns, and the median of their ratios to the naive turns taken beside them."""
+    """Return the medians of the turns, and the median ratio to the naive turns of the same rounds."""
     walls = [turn.wall for turn in turns]
     ratio = statistics.median(slow.wall / fast.wall for slow, fast in zip(naive, turns)) if naive else None
     p90 = sorted(walls)[min(len(walls) - 1, int(0.9 * len(walls)))]
@@ -86,16 +86,16 @@ def row(what: str, turns: Sequence[Turn], naive: Optional[Sequence[Turn]] = None
 
 
 def rows_of(turns: Dict[str, List[Turn]], targets: Optional[Dict[str, str]] = None) -> List[Row]:
-    """A row for each variant; the first is the naive one."""
+    """Return a row for each variant; the first is the naive one."""
     naive = next(iter(turns.values()))
     targets = targets or {}
     return [row(name, taken, naive, targets.get(name, "")) for name, taken in turns.items()]
 
 
 def single_precision_peak(threads: int) -> Optional[float]:
-    """Most that this machine multiplies and adds, in GFLOP/s on so many threads; None where there is no compiler.
+    """Return the peak of multiply-adds on a number of threads [GFLOP/s], the best of a few rounds.
 
-    The best of a few rounds: what the cores can do when nothing disturbs them.
+    None without a compiler.
     """
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "peak.so"
@@ -109,7 +109,7 @@ def single_precision_peak(threads: int) -> Optional[float]:
 
 
 def resident_memory() -> float:
-    """What this process holds in memory now, MiB."""
+    """Return the resident memory of this process [MiB]."""
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024.0
@@ -117,7 +117,7 @@ def resident_memory() -> float:
 
 
 def machine() -> Dict[str, str]:
-    """What the numbers were measured on."""
+    """Return processor, Python and system."""
     model = "unknown"
     for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
         if line.startswith("model name"):
@@ -127,7 +127,7 @@ def machine() -> Dict[str, str]:
 
 
 def table(section: Section) -> str:
-    """The section as Markdown."""
+    """Return the section as Markdown."""
     shown = [
         ("", lambda row: row.what),
         ("median [ms]", lambda row: _number(row.wall, 2)),
@@ -149,14 +149,14 @@ def table(section: Section) -> str:
 
 
 def write_json(path: Path, sections: Sequence[Section]) -> None:
-    """Machine and sections, for whoever compares runs."""
+    """Write machine and sections."""
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {"machine": machine(), "sections": [asdict(section) for section in sections]}
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> List[Section]:
-    """The sections that write_json has written."""
+    """Read the sections that write_json has written."""
     content = json.loads(path.read_text(encoding="utf-8"))
     return [
         Section(section["title"], section["how"], [Row(**row) for row in section["rows"]])
@@ -165,11 +165,11 @@ def read_json(path: Path) -> List[Section]:
 
 
 def run(description: Optional[str], measure: Callable[[argparse.Namespace], List[Section]], **options: int) -> None:
-    """The main function of a benchmark: options (name=default whole number), the tables, and JSON where asked for."""
+    """Main function of a benchmark: parse options (name=default integer), print tables, write JSON if requested."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in options.items():
         parser.add_argument(f"--{name}", type=int, default=default, help=f"default {default}")
-    parser.add_argument("--json", type=Path, help="file to write the results to as well")
+    parser.add_argument("--json", type=Path, help="also write the results to this file")
     arguments = parser.parse_args()
     sections = measure(arguments)
     for section in sections:

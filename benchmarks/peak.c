@@ -1,4 +1,4 @@
-/* As many multiplications and additions as the processor can do: chains of their own, and nothing from memory. */
+/* Peak rate of multiply-adds: independent chains in registers, no memory access. */
 #ifdef __AVX512F__
 #define LANES 16
 #else
@@ -10,7 +10,7 @@ typedef float vec __attribute__((vector_size(4 * LANES)));
 
 static volatile float seen;
 
-/* Do `count` rounds -> floating-point operations done. */
+/* Run `count` rounds and return the number of floating-point operations. */
 double multiply_and_add(int count) {
     vec chain[CHAINS], factor = (vec){0} + 0.9999f, increment = (vec){0} + 1e-9f;
     for (int i = 0; i < CHAINS; i++) chain[i] = factor * (float)(i + 1);
