@@ -5,15 +5,13 @@ What is refused is named: the file, what is wrong with it, and what to do about 
 
 from __future__ import annotations
 
-import dataclasses
 import errno
 import json
-import math
 import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Collection, Dict, List, Mapping, Tuple, Type, get_type_hints
+from typing import Any, BinaryIO, Dict, List, Mapping, Type
 
 import yaml
 
@@ -25,15 +23,6 @@ LARGEST_YAML = 2**18
 _DEEPEST = 32  # levels of YAML or JSON; more would only serve to exhaust the interpreter's stack
 _LONGEST_NUMBER = 64  # characters; longer ones fit no setting, and take ever longer to convert
 _SHOWN = 200  # characters of a value in a message
-_WORDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a text",
-    list: "a list",
-    dict: "fields",
-    type(None): "null",
-}
 _KINDS = (
     (stat.S_ISDIR, "it is a folder"),
     (stat.S_ISLNK, "it is a symbolic link"),
@@ -125,26 +114,8 @@ class FileReader:
         """Refuse content whose fields have other values than those expected."""
         for field, value in expected.items():
             found = content.get(field)
-            if type(found) is not type(value) or found != value:
-                raise self.refuse(f"{subject}:", f"{field} is {shown(found)}, expected {shown(value)}")
-
-    def expect_fields(self, subject: Any, content: Any, fields: Collection[str]) -> None:
-        """Refuse content that lacks one of the fields, or has one more."""
-        for field in fields:
-            if field not in self._fields(subject, content):
-                raise self.refuse(f"{subject}:", f"{field} is missing")
-        for field in content:
-            if field not in fields:
-                raise self.refuse(f"{subject}:", f"{shown(field)} is no field of it")
-
-    def expect_types(self, subject: Any, content: Any, types: Mapping[str, Tuple[type, ...]]) -> None:
-        """Refuse content that has other fields than those, or one of another type; numbers must be finite."""
-        self.expect_fields(subject, content, types)
-        for field, allowed in types.items():
-            value = content[field]
-            if type(value) not in allowed or (type(value) is float and not math.isfinite(value)):
-                expected = " or ".join(_WORDS[kind] for kind in allowed)
-                raise self.refuse(f"{subject}:", f"{field} is {shown(value)}, expected {expected}")
+            if repr(found) != repr(value):  # 1, 1.0 and True are equal, but not in a file
+                raise self.error(f"{subject}: {field} is {shown(found)}: expected {shown(value)}; {self.remedy}")
 
     def _fields(self, subject: Any, content: Any) -> Dict[str, Any]:
         if not isinstance(content, dict):
@@ -183,17 +154,6 @@ def parse_yaml(text: str) -> Any:
             loader.dispose()
     except yaml.YAMLError as error:
         raise ValueError(_in_words(error)) from error
-
-
-def plain_types(record: type) -> Dict[str, Tuple[type, ...]]:
-    """What the fields of a dataclass may be in a file; a whole number passes for any number."""
-    hints = get_type_hints(record)
-    types = {}
-    for item in dataclasses.fields(record):
-        hint = hints[item.name]
-        kinds = getattr(hint, "__args__", None) or (hint,)
-        types[item.name] = tuple(part for kind in kinds for part in ((float, int) if kind is float else (kind,)))
-    return types
 
 
 def shown(value: Any) -> str:

@@ -26,9 +26,9 @@ from embodied_active_learning.session.identifications import (
     load_trace,
     save_identification,
 )
-from embodied_active_learning.session.newest_model import load_newest_model
-from embodied_active_learning.session.planner_state import PlannerState, load_memory, save_memory
+from embodied_active_learning.session.planner_state import PlannerState, load_planner_state, save_planner_state
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.session.summary import read_summary, summarise, write_summary
 from embodied_active_learning.simulation.table_picture import TablePicture
 from embodied_active_learning.simulation.world import load_world
@@ -109,7 +109,7 @@ def make_sample(root: Path) -> Path:
         sought.observe(states, images)
         save_identification(session.paths.path, "first", sought, sought.decide(states, images))
         memory = ExplorationRun(config).state_dict()
-        save_memory(session.paths.path / "planner.safetensors", _planner_memory(memory))
+        save_planner_state(session.paths.path / "planner.safetensors", _planner_memory(memory))
         _write_arm_states(session.paths.arm_states)
         write_summary(session.paths.summary, summarise(session, True, 1.5))
     _write_files_of_people(session.paths.path / "people")
@@ -169,7 +169,7 @@ def _checkpoint(path: Path) -> Any:
 
 
 def _memory(path: Path) -> Any:
-    found = load_memory(path / "planner.safetensors")
+    found = load_planner_state(path / "planner.safetensors")
     return found and _plain(vars(found))
 
 
@@ -204,7 +204,7 @@ KINDS = (
     Kind("training.csv", _table("training"), checked=False),
     Kind("evaluation.csv", _table("evaluation"), checked=False),
     Kind("checkpoints/checkpoint_000000003.safetensors", _checkpoint),
-    Kind("model.safetensors", lambda path: _plain(load_newest_model(Session.open_read_only(path)).weights)),
+    Kind("model.safetensors", lambda path: _plain(load_session_model(Session.open_read_only(path)).weights)),
     Kind("planner.safetensors", _memory),
     Kind("arm_states.safetensors", _arm_states),
     Kind(f"{_GENERATION}/set.yaml", _set),

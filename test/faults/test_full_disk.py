@@ -129,11 +129,11 @@ def test_observations_and_rows_before_and_after_a_full_disk_are_all_there(small_
         small_disk.fill(leave=16384)
         stored = count_until_refused(
             lambda number: store.append(*observation(number)),
-            r"record \d+ could not be stored \(No space left on device\): free some",
+            r"record \d+ could not be stored \(No space left on device\): free disk space",
         )
         rows = count_until_refused(
             lambda number: table.append({"step": number, "x": 1 / 3}),
-            r"exploration.csv cannot be written \(No space left on device\): free some",
+            r"exploration.csv cannot be written \(No space left on device\): free disk space",
         )
         assert 0 < stored < 200
         assert 0 < rows < 2000
@@ -200,7 +200,7 @@ def contents_of_table(small_disk, name):
 def test_a_new_session_on_a_full_disk_is_refused_and_leaves_nothing_behind(small_disk):
     small_disk.fill()
     for attempt in (check_session, Session.open_for_writing):
-        with pytest.raises(SessionError, match=r"needs about .* but 0.0 GB are free: free some"):
+        with pytest.raises(SessionError, match=r"needs about .* but 0.0 GB are free: free disk space"):
             attempt(configuration(small_disk.folder))
     assert [entry.name for entry in small_disk.folder.iterdir()] == ["filler"]
 
@@ -245,7 +245,7 @@ def test_a_run_on_a_read_only_disk_is_refused_with_the_reason_before_anything(sm
         configuration(folder / "deeper" / "root", name="new"),
     ):
         for attempt in (check_session, Session.open_for_writing):
-            with pytest.raises(SessionError, match="is mounted read-only: mend that, or choose another session/root"):
+            with pytest.raises(SessionError, match="is mounted read-only: fix that, or choose another session/root"):
                 attempt(config)
     assert read_summary(sample / "summary.yaml").finished
 

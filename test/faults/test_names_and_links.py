@@ -86,7 +86,7 @@ def test_what_is_no_text_is_no_name(name):
 
 def test_an_unknown_name_is_answered_with_those_there_are(root):
     for attempt in (lambda: find_session(root, "other", "replay"), lambda: read_sets(root, ["other"])):
-        with pytest.raises(SessionError, match=rf"is 'other', and there is none .* in {root}; there are: {NAME}$"):
+        with pytest.raises(SessionError, match=rf"is 'other', but .* no such session in {root}: known are {NAME}$"):
             attempt()
 
 
@@ -105,7 +105,7 @@ def test_a_session_that_is_a_link_out_of_the_root_is_not_read(root, tmp_path):
         for attempt in (lambda: find_session(root, "away"), lambda: read_sets(root, ["away"])):
             with pytest.raises(SessionError, match=rf"away leads out of {root}, to {tmp_path / NAME}"):
                 attempt()
-        with pytest.raises(SessionError, match="exists but is no session of this package"):
+        with pytest.raises(SessionError, match="exists but is not a session"):
             check_session(configuration(root, name="away", resume=True))
     finally:
         (root / "away").unlink()

@@ -11,8 +11,8 @@ from embodied_active_learning.errors import CorruptFileError, ObservationError
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.session.checkpoints import save_checkpoint, save_model
-from embodied_active_learning.session.newest_model import load_newest_model
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.session_model import load_session_model
 
 VALUES = {"camera": {"width": 48, "height": 45}, "model": {"latent_size": 4, "hidden_sizes": [32, 16]}}
 CONFIG = Config.from_dict(VALUES)
@@ -153,22 +153,22 @@ def assert_same_weights(trained, network):
 
 
 def test_no_model_before_training(tmp_path):
-    assert load_newest_model(open_session(tmp_path)) is None
+    assert load_session_model(open_session(tmp_path)) is None
 
 
 def test_model_without_updates_is_none(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 0, make_network())
-    assert load_newest_model(session) is None
+    assert load_session_model(session) is None
     save_model(session.paths.model, make_network().state_dict(), {"updates": 0, "observations": 10})
-    assert load_newest_model(session) is None
+    assert load_session_model(session) is None
 
 
 def test_newest_checkpoint_is_loaded_without_final_model(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 3, make_network(seed=3))
     write_checkpoint(session, 12, make_network(seed=12))
-    trained = load_newest_model(session)
+    trained = load_session_model(session)
     assert trained.updates == 12
     assert_same_weights(trained, make_network(seed=12))
 
@@ -177,7 +177,7 @@ def test_final_model_is_preferred_to_checkpoints(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 12, make_network(seed=12))
     save_model(session.paths.model, make_network(seed=9).state_dict(), {"updates": 9, "observations": 3})
-    trained = load_newest_model(session)
+    trained = load_session_model(session)
     assert trained.updates == 9
     assert_same_weights(trained, make_network(seed=9))
 
@@ -185,7 +185,7 @@ def test_final_model_is_preferred_to_checkpoints(tmp_path):
 def test_loaded_model_is_in_evaluation_mode(tmp_path):
     session = open_session(tmp_path)
     write_checkpoint(session, 3, make_network())
-    network = load_newest_model(session).model.network
+    network = load_session_model(session).model.network
     assert not network.training
     assert not any(parameter.requires_grad for parameter in network.parameters())
 
@@ -203,7 +203,7 @@ def test_model_of_another_configuration_is_refused_by_file(tmp_path, section, fi
         write_checkpoint(session, 3, other)
     name = r"model\.safetensors" if final else r"checkpoint_000000003\.safetensors"
     with pytest.raises(CorruptFileError, match=rf"{name} does not fit the session's camera and model settings"):
-        load_newest_model(session)
+        load_session_model(session)
 
 
 def test_damaged_model_is_refused_despite_checkpoints(tmp_path):
@@ -214,11 +214,11 @@ def test_damaged_model_is_refused_despite_checkpoints(tmp_path):
     content[-1] ^= 1
     session.paths.model.write_bytes(content)
     with pytest.raises(CorruptFileError, match=r"model\.safetensors"):
-        load_newest_model(session)
+        load_session_model(session)
 
 
 def test_model_without_update_count_is_refused(tmp_path):
     session = open_session(tmp_path)
     save_model(session.paths.model, make_network().state_dict(), {})
     with pytest.raises(CorruptFileError, match=r"model\.safetensors"):
-        load_newest_model(session)
+        load_session_model(session)

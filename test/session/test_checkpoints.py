@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import pickle
 import random
@@ -15,7 +16,8 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safetensors.torch import save
+from safetensors import safe_open
+from safetensors.torch import save, save_file
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.session.atomic import replace_file, write_text
@@ -83,14 +85,14 @@ def test_checkpoint_saved_after_walking_back_replaces_the_refused_ones(tmp_path)
 
 def test_checkpoints_of_which_none_is_whole_are_an_error_not_a_fresh_start(tmp_path):
     save_checkpoint(tmp_path, 5, tensors(), {}).write_bytes(b"damaged")
-    with pytest.raises(CorruptFileError, match=r"no checkpoint in .* can be used: .*000000005"):
+    with pytest.raises(CorruptFileError, match=r"all checkpoints in .* are damaged: .*000000005"):
         load_latest(tmp_path)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_tensor_that_is_not_finite_never_replaces_a_good_checkpoint(tmp_path, value):
     save_checkpoint(tmp_path, 1, tensors(), {}, keep=1)
-    with pytest.raises(SessionError, match="tensor weight holds values that are not finite"):
+    with pytest.raises(SessionError, match="tensor weight has values that are not finite"):
         save_checkpoint(tmp_path, 2, {"weight": torch.tensor([value])}, {}, keep=1)
     assert load_latest(tmp_path).updates == 1
 
@@ -130,7 +132,7 @@ def test_model_cut_short_at_any_byte_is_refused(tmp_path):
     content = path.read_bytes()
     for length in range(len(content)):
         path.write_bytes(content[:length])
-        with pytest.raises(CorruptFileError, match="no whole safetensors file"):
+        with pytest.raises(CorruptFileError, match="not a complete safetensors file"):
             load_model(path)
 
 
@@ -150,7 +152,7 @@ def test_pickle_renamed_to_safetensors_is_refused_and_never_run(tmp_path):
         path = tmp_path / f"{name}.safetensors"
         with path.open("wb") as stream:
             write(Canary(canary), stream)
-        with pytest.raises(CorruptFileError, match=f"{name}.safetensors is no whole safetensors file"):
+        with pytest.raises(CorruptFileError, match=f"{name}.safetensors is not a complete safetensors file"):
             load_model(path)
     assert not canary.exists()
 
@@ -241,7 +243,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
 try:
     save_checkpoint({str(tmp_path)!r}, 2, {{"weight": torch.ones(30000)}}, {{}}, keep=1)
 except SessionError as error:
-    assert "what was there before is kept" in str(error), error
+    assert "the previous file is kept" in str(error), error
 else:
     raise AssertionError("the disk was full")
 """
@@ -263,3 +265,44 @@ def test_any_finite_numbers_make_the_round_trip(tmp_path_factory, values, counte
     checkpoint = load_latest(folder)
     assert checkpoint.tensors["values"].tolist() == values
     assert checkpoint.counters == counters
+
+
+def test_equal_content_gives_equal_bytes(tmp_path):
+    tensors = {f"layer-{index}": torch.arange(float(index + 1)) for index in range(20)}
+    paths = [tmp_path / f"{index}.safetensors" for index in range(5)]
+    for path in paths:
+        save_model(path, tensors, {"updates": 1, "observations": 2})
+    assert len({path.read_bytes() for path in paths}) == 1
+
+
+def test_file_with_the_metadata_of_older_versions_is_read(tmp_path):
+    """Older versions stored the fields of the header as separate metadata."""
+    path = tmp_path / "model.safetensors"
+    save_model(path, {"w": torch.ones(3)}, {"updates": 1})
+    with safe_open(str(path), framework="pt") as stored:
+        metadata = json.loads(stored.metadata()["header"])
+    save_file({"w": torch.ones(3)}, str(path), metadata)
+    tensors, facts = load_model(path)
+    assert torch.equal(tensors["w"], torch.ones(3))
+    assert facts == {"updates": 1}
+
+
+def test_sparse_file_beyond_the_memory_is_refused(tmp_path):
+    """A failed allocation inside safetensors is not an Exception."""
+    path, size = tmp_path / "model.safetensors", 2**30
+    header = json.dumps({"w": {"dtype": "U8", "shape": [size], "data_offsets": [0, size]}}).encode()
+    path.write_bytes(len(header).to_bytes(8, "little") + header)
+    os.truncate(path, 8 + len(header) + size)
+    script = f"""
+import resource, sys
+from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.session.array_files import read_arrays
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + {size} + 2**26, resource.RLIM_INFINITY))
+try:
+    read_arrays({str(path)!r}, "model")
+except CorruptFileError as error:
+    sys.exit(0 if "model.safetensors" in str(error) else 1)
+sys.exit(2)
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60, env=ENVIRONMENT)

@@ -83,8 +83,8 @@ def test_repeated_observation_is_acknowledged_but_stored_once(tmp_path):
 @pytest.mark.parametrize(
     ("index", "stamp", "content", "message"),
     [
-        (5, 1.0, 5, "observation 5 was handed over, but 3 is next"),
-        (-1, 1.0, 5, "observation -1 was handed over, but 3 is next"),
+        (5, 1.0, 5, "observation 5 received, expected 3"),
+        (-1, 1.0, 5, "observation -1 received, expected 3"),
         (1, 0.2, 2, "observation 1 is stored with other content"),
         (1, 0.3, 1, "observation 1 is stored with other content"),
     ],
@@ -179,7 +179,7 @@ def test_layout_that_is_not_understood_is_refused_naming_file_and_field(tmp_path
     fill(tmp_path, 1)
     path = tmp_path / LAYOUT_FILE
     path.write_text(json.dumps({**json.loads(path.read_text()), field: value}))
-    with pytest.raises(CorruptFileError, match=f"{LAYOUT_FILE}: {field} is"):
+    with pytest.raises(CorruptFileError, match=rf"{LAYOUT_FILE}: {field}(/0)? (is|has)"):
         open_store(tmp_path)
 
 
@@ -200,7 +200,7 @@ def test_observations_without_their_layout_are_not_taken_for_a_new_store(tmp_pat
 
 def test_store_of_another_image_size_is_refused(tmp_path):
     fill(tmp_path, 1)
-    with pytest.raises(ObservationError, match=r"image_shape is \[5, 4, 3\], but the camera gives \[6, 4, 3\]"):
+    with pytest.raises(ObservationError, match=r"image_shape is \[5, 4, 3\], but the camera is .* \[6, 4, 3\]"):
         ObservationStore.open_for_writing(tmp_path, WORKSPACE, (6, 4, 3))
 
 
@@ -221,7 +221,7 @@ def test_reader_may_look_while_the_writer_writes_but_not_write(tmp_path):
         writer.append(0, 0.0, state(0), image(0))
         with ObservationStore.open_read_only(tmp_path, WORKSPACE) as reader:
             assert_holds(reader, 1)
-            with pytest.raises(SessionError, match="reading only"):
+            with pytest.raises(SessionError, match="read-only"):
                 reader.append(1, 0.2, state(1), image(1))
 
 
@@ -268,7 +268,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (store.layout.size + 30, resource.RLIM
 try:
     store.append(1, 0.2, (0.4, 0.0, 0.0), picture)
 except SessionError as error:
-    assert "free some disk space" in str(error), error
+    assert "free disk space" in str(error), error
 else:
     raise AssertionError("the disk was full")
 assert len(store) == 1

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,8 +17,9 @@ from embodied_active_learning.config import Config, merge
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.session import disk
+from embodied_active_learning.session.checksummed_yaml import checksummed_text, write_checksummed
 from embodied_active_learning.session.session import Session, check_session, list_sessions
-from embodied_active_learning.session.summary import Summary, read_summary, summarise, write_summary
+from embodied_active_learning.session.summary import Summary, conclude_launch, read_summary, summarise, write_summary
 
 LARGEST_PROCESS = 2**22  # that Linux gives a number to
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -108,7 +109,7 @@ def test_world_that_only_moved_does_not_keep_a_session_from_being_continued(tmp_
 
 def test_resuming_what_does_not_exist_lists_what_does(tmp_path):
     create(tmp_path, name="first")
-    with pytest.raises(SessionError, match=r"no session .*/b to resume; in that folder there are: first"):
+    with pytest.raises(SessionError, match=r"no session .*/b to resume: known are first"):
         check_session(make_config(tmp_path, name="b", resume=True))
 
 
@@ -149,7 +150,7 @@ def test_file_or_link_in_the_place_of_a_session_is_refused(tmp_path):
     (tmp_path / "b").symlink_to(tmp_path / "target")
     (tmp_path / "c").symlink_to(tmp_path / "nowhere")
     for name in ("a", "b", "c"):
-        with pytest.raises(SessionError, match="is no session of this package"):
+        with pytest.raises(SessionError, match="is not a session"):
             Session.open_for_writing(make_config(tmp_path, name=name, resume=True))
 
 
@@ -187,9 +188,9 @@ def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 3}, "version is 3, expected 2"),
+        ({"version": 4}, "version is 4, but this package reads versions up to 3; install the newer version"),
         ({}, "sha256 is missing, so the end of the file was lost"),
-        ({"format": None}, "format is None, expected"),
+        ({"format": None}, "format is None: expected"),
         ({"config": {"camera": {"width": -3}}}, "camera/width is -3"),
         ({"config": {"camera": {"widht": 3}}}, "did you mean camera/width"),
         ({"config": None}, "the content is None"),
@@ -206,6 +207,22 @@ def test_description_that_is_not_understood_is_refused_by_file_and_field(tmp_pat
     assert list_sessions(tmp_path) == []
 
 
+def test_session_of_version_2_is_read(tmp_path):
+    """Version 2 had other names for two settings."""
+    create(tmp_path)
+    path = tmp_path / "a" / "config.yaml"
+    content = {**yaml.safe_load(path.read_text()), "version": 2}
+    del content["sha256"]
+    keys = content["config"]["identification"]
+    keys["mismatch_limit"], keys["min_rise"] = keys.pop("residual_limit"), keys.pop("min_prominence")
+    write_checksummed(path, content)
+    assert Session.open_read_only(tmp_path / "a").config == make_config(tmp_path)
+    content["version"] = 3
+    write_checksummed(path, content)
+    with pytest.raises(CorruptFileError, match=r"unknown key identification/m.* written by embodied_active_learning 0"):
+        Session.open_read_only(tmp_path / "a")
+
+
 def test_description_of_before_there_was_a_checksum_is_still_read(tmp_path):
     create(tmp_path)
     path = tmp_path / "a" / "config.yaml"
@@ -219,7 +236,7 @@ def test_setting_that_was_changed_in_a_description_is_noticed(tmp_path):
     create(tmp_path)
     path = tmp_path / "a" / "config.yaml"
     path.write_text(path.read_text().replace("seed: 0", "seed: 1"))
-    with pytest.raises(CorruptFileError, match=r"config.yaml: sha256 does not fit the rest"):
+    with pytest.raises(CorruptFileError, match=r"config.yaml: sha256 does not match"):
         Session.open_read_only(tmp_path / "a")
 
 
@@ -251,7 +268,7 @@ def test_run_that_would_not_fit_on_the_disk_is_refused_before_it_starts(tmp_path
     config = make_config(tmp_path)
     usage = disk.shutil.disk_usage(tmp_path)
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: usage._replace(free=1000))
-    with pytest.raises(SessionError, match=r"needs about 0.2 GB for 100 observations .* 0.0 GB are free: free some"):
+    with pytest.raises(SessionError, match=r"needs about 0.2 GB for 100 observations .* 0.0 GB are free: free"):
         check_session(config)
 
 
@@ -280,7 +297,7 @@ def test_sessions_are_listed_by_name_and_others_left_out(tmp_path):
     assert [path.name for path in list_sessions(tmp_path)] == ["a", "b"]
 
 
-def test_summary_tells_what_the_tables_end_with_and_goes_when_the_run_goes_on(tmp_path):
+def test_summary_has_the_last_values_of_the_tables(tmp_path):
     with Session.open_for_writing(make_config(tmp_path)) as session:
         with session.open_table("exploration") as table:
             for step in range(4):
@@ -306,8 +323,44 @@ def test_summary_tells_what_the_tables_end_with_and_goes_when_the_run_goes_on(tm
         )
         write_summary(session.paths.summary, summarise(session, finished=True, wall_time=3.5))
         assert read_summary(session.paths.summary) == expected
+
+
+def write_finished_summary(config):
+    with Session.open_for_writing(config) as session:
+        with session.open_table("exploration") as table:
+            for step in range(config.exploration.steps):
+                table.append({"step": step})
+        with session.open_table("training") as table:
+            table.append({"update": config.updates_planned})
+        conclude_launch(session, finished=True, wall_time=3.5)
+    return session.paths.summary
+
+
+def test_finished_summary_survives_resuming_a_finished_run(tmp_path):
+    """A respawned trainer opens the session again after the end of the run."""
+    path = write_finished_summary(make_config(tmp_path))
+    content = path.read_bytes()
     Session.open_for_writing(make_config(tmp_path, resume=True)).close()
-    assert not session.paths.summary.exists()
+    assert path.read_bytes() == content
+
+
+def test_summary_is_unfinished_while_a_run_is_extended(tmp_path):
+    config = make_config(tmp_path)
+    path = write_finished_summary(config)
+    more = {"exploration": {"steps": config.exploration.steps + 1}}
+    with Session.open_for_writing(
+        Config.from_dict(merge(make_config(tmp_path, resume=True).to_dict(), more))
+    ) as session:
+        assert not read_summary(path).finished
+        assert conclude_launch(session, finished=True, wall_time=2.0).wall_time == 5.5
+    assert read_summary(path).wall_time == 5.5
+
+
+def test_damaged_summary_is_removed_on_resume(tmp_path):
+    path = write_finished_summary(make_config(tmp_path))
+    path.write_text("finished: true\n")
+    Session.open_for_writing(make_config(tmp_path, resume=True)).close()
+    assert not path.exists()
 
 
 def test_summary_of_a_run_that_recorded_nothing_has_no_numbers(tmp_path):
@@ -323,8 +376,9 @@ def test_summary_of_a_run_that_recorded_nothing_has_no_numbers(tmp_path):
     [
         ("", " is empty, expected fields"),
         ("[1]", " is a list, expected fields"),
-        ("finished: true\n", ": steps is missing"),
-        ("".join(f"{field.name}: 1\n" for field in fields(Summary)) + "other: 1\n", ": 'other' is no field"),
+        ("finished: true\n", ": sha256 is missing, so the end of the file was lost"),
+        (checksummed_text({"finished": True}), ": steps is missing"),
+        (checksummed_text({**vars(Summary(True, 1, 1, 1.0)), "other": 1}), ": unknown key other"),
     ],
 )
 def test_summary_that_is_not_understood_is_refused(tmp_path, text, complaint):

@@ -61,7 +61,7 @@ def test_row_may_be_a_dataclass_and_a_missing_value_reads_as_nan(tmp_path):
 
 def test_column_that_does_not_exist_is_refused_with_those_that_do(tmp_path):
     with Table(tmp_path / "t.csv", NAMES) as table, pytest.raises(
-        SessionError, match="no column valeu: there are step"
+        SessionError, match="no column valeu: the columns are step"
     ):
         table.append({"valeu": 1})
 
@@ -137,7 +137,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, ({len("step,value|0,1.0|")} + 3, resou
 try:
     table.append({{"step": 1, "value": 2.0}})
 except SessionError as error:
-    assert "free some disk space" in str(error), error
+    assert "free disk space" in str(error), error
 else:
     raise AssertionError("the disk was full")
 resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))

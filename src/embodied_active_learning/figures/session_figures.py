@@ -11,8 +11,8 @@ from embodied_active_learning.figures.learning_metrics import draw_learning_metr
 from embodied_active_learning.figures.reconstructions import draw_reconstructions
 from embodied_active_learning.figures.top_view import SessionImages, load_session_images
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.session.newest_model import load_newest_model
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.session_model import load_session_model
 
 _LOG = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ def draw_session_figures(
     folder = session.paths.figures
     loaded = load_session_images(session) if images is None else images
     paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: loaded)]
-    trained = load_newest_model(session)
+    trained = load_session_model(session)
     if trained is None:
         _LOG.info("%s has no trained model yet: only %s was drawn", session.paths.path, paths[0].name)
         return paths

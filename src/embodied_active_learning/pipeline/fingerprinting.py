@@ -14,8 +14,8 @@ from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.stored_views import StoredViews
 from embodied_active_learning.session.fingerprints import save_fingerprints
-from embodied_active_learning.session.newest_model import load_newest_model
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.session_model import load_session_model
 
 
 class FingerprintRun:
@@ -36,7 +36,7 @@ class FingerprintRun:
         self._path = Path(session_path)
         session = Session.open_read_only(self._path)
         self._config = replace(session.config, fingerprint=settings or session.config.fingerprint)
-        trained = load_newest_model(session)
+        trained = load_session_model(session)
         if trained is None:
             raise SessionError(
                 f"session {session.name} has not learned anything yet: learning begins after "

@@ -1,1 +1,1 @@
-"""Everything a run leaves on disk: one folder, readable again after any crash."""
+"""The session folder: everything a run stores, readable again after a crash at any moment."""

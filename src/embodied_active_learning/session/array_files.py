@@ -1,4 +1,4 @@
-"""Arrays in one safetensors file whose checksum covers names, shapes, bytes and metadata. No pickle, ever."""
+"""Arrays in one safetensors file, with a checksum of names, shapes, bytes and metadata. Pickle is never used."""
 
 from __future__ import annotations
 
@@ -17,38 +17,43 @@ from embodied_active_learning.session.atomic import write_bytes
 
 VERSION = "1"
 READER = FileReader(CorruptFileError, "restore the file, or train again", limit=2**32)
+_HEADER = "header"  # a single key of metadata: safetensors writes several in random order
 _LARGEST_HEADER = 2**22  # bytes
 _LENGTH_BYTES = 8
-# What the package stores.
 _TYPES = tuple(map(np.dtype, (np.float32, np.float64, np.uint8, np.int32, np.int64, np.uint64, np.bool_)))
 Arrays = Dict[str, np.ndarray]
 
 
 def write_arrays(path: Path, kind: str, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> None:
-    """Write arrays and plain facts (numbers, texts, lists, dictionaries) atomically.
+    """Write arrays and plain facts (numbers, texts, lists, dictionaries) atomically. Equal content gives equal bytes.
 
-    Raises SessionError when the disk fails; what was there before is kept then.
+    Raises:
+        SessionError: The disk failed; the previous file is kept.
     """
-    whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     text = json.dumps(facts, sort_keys=True, allow_nan=False)
-    header = {"format": _format(kind), "version": VERSION, "facts": text, "sha256": _digest(whole, text)}
-    write_bytes(path, save(whole, metadata=header))
+    header = {"format": _format(kind), "version": VERSION, "facts": text, "sha256": _digest(contiguous, text)}
+    write_bytes(path, save(contiguous, metadata={_HEADER: json.dumps(header, sort_keys=True)}))
 
 
 def read_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arrays, Dict[str, Any]]:
-    """Read what write_arrays wrote: the arrays and the facts.
+    """Read a file of write_arrays.
 
-    reader: how large the file may be, and the remedy. Raises its error naming the file, the field and the remedy.
+    Args:
+        path: The file.
+        kind: Kind given to write_arrays.
+        reader: Size limit, error class and remedy.
+
+    Returns:
+        The arrays by name, and the facts.
+
+    Raises:
+        reader.error: The file is missing, malformed or damaged; names the file and the field.
     """
-    _check_header(path, reader)
-    try:
-        with safe_open(str(path), framework="np") as stored:
-            header = stored.metadata() or {}
-            reader.expect(path, header, {"format": _format(kind), "version": VERSION})
-            arrays = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 - not a mapping
-    # The last three come of types that numpy does not know.
-    except (SafetensorError, OSError, ValueError, TypeError, AttributeError, LookupError) as error:
-        raise reader.refuse(path, f"is no whole safetensors file ({error})") from error
+    _check_header_size(path, reader)
+    arrays, metadata = _read(path, reader)
+    header = _header(path, metadata, reader)
+    reader.expect(path, header, {"format": _format(kind), "version": VERSION})
     for name, array in arrays.items():
         if array.dtype not in _TYPES:
             expected = ", ".join(map(str, _TYPES))
@@ -58,14 +63,42 @@ def read_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arr
     return arrays, reader.parse_json(f"{path}: facts", text)
 
 
-def _check_header(path: Path, reader: FileReader) -> None:
-    """Refuse a header that is larger than any of ours, or than the file: 8 bytes say its length, then it follows."""
+def _read(path: Path, reader: FileReader) -> Tuple[Arrays, Dict[str, str]]:
+    """Return all arrays and the metadata."""
+    try:
+        with safe_open(str(path), framework="np") as stored:
+            arrays = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 - not a mapping
+            return arrays, stored.metadata() or {}
+    # ValueError and the following are raised for types unknown to numpy.
+    except (SafetensorError, OSError, ValueError, TypeError, AttributeError, LookupError) as error:
+        raise reader.refuse(path, f"is not a complete safetensors file ({error})") from error
+    except MemoryError as error:
+        raise reader.refuse(path, "does not fit into memory") from error
+    except BaseException as error:
+        # Rust code reports a failed allocation as pyo3_runtime.PanicException, which is not an Exception.
+        if type(error).__name__ != "PanicException":
+            raise
+        raise reader.refuse(path, f"cannot be read by safetensors ({error})") from None
+
+
+def _header(path: Path, metadata: Mapping[str, str], reader: FileReader) -> Mapping[str, Any]:
+    """Return the header; older versions stored its fields as separate metadata."""
+    if _HEADER not in metadata:
+        return metadata
+    header = reader.parse_json(f"{path}: {_HEADER}", metadata[_HEADER])
+    for name, value in header.items():
+        if not isinstance(value, str):
+            raise reader.refuse(f"{path}:", f"{name} of the header is not a text")
+    return header
+
+
+def _check_header_size(path: Path, reader: FileReader) -> None:
+    """Check the length that the first 8 bytes declare: it bounds what safetensors allocates."""
     size = reader.check(path)
     with open_plain(path, follow=reader.follow) as stream:
         length = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
     if not 0 < length <= min(_LARGEST_HEADER, size - _LENGTH_BYTES):
-        complaint = f"is no whole safetensors file (of its {size} bytes the header is said to be {length})"
-        raise reader.refuse(path, complaint)
+        raise reader.refuse(path, f"is not a complete safetensors file (header of {length} bytes in a file of {size})")
 
 
 def _format(kind: str) -> str:
@@ -73,11 +106,11 @@ def _format(kind: str) -> str:
 
 
 def _digest(arrays: Mapping[str, np.ndarray], text: str) -> str:
-    """SHA-256 over everything that is read back."""
+    """Return the SHA-256 of everything that is read back."""
     digest = hashlib.sha256(text.encode("utf-8"))
     for name in sorted(arrays):
         array = arrays[name]
-        # Types as torch calls them, so that what earlier versions wrote stays readable.
+        # Type names of torch, as in the first version of the format.
         digest.update(json.dumps([name, f"torch.{array.dtype}", list(array.shape)]).encode("utf-8"))
         digest.update(np.asarray(array, order="C").reshape(-1).view(np.uint8).data)
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Files that are either the old one or the new one, never half of one, whatever kills the process or the machine."""
+"""Atomic file replacement: a file has either its old or its new content, whatever kills the process or the machine."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _SUFFIX = ".tmp"
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[BinaryIO]:
-    """A new file that takes the place of path when the block ends, and vanishes when the block fails."""
+    """Yield a temporary file that replaces path at the end of the block, and is deleted if the block fails."""
     path = Path(path)
-    # The same folder, because a rename is atomic only inside one file system.
+    # In the same folder, because a rename is atomic only within one file system.
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}{_SUFFIX}")
     try:
-        # Of a process that was killed and had the same number; nobody else's: it is not written through a link.
+        # A leftover of a killed process with the same id, or a link, which must not be written through.
         temporary.unlink(missing_ok=True)
         with temporary.open("xb") as stream:
             yield stream
@@ -29,9 +29,9 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
         os.replace(temporary, path)
         sync_folder(path.parent)
     except OSError as error:
-        raise SessionError(f"{path} cannot be written ({error.strerror}): what was there before is kept") from error
+        raise SessionError(f"{path} cannot be written ({error.strerror}): the previous file is kept") from error
     finally:
-        with suppress(OSError):  # what is left is removed by the next writer; the first error is the one to tell
+        with suppress(OSError):  # the next writer removes it; the first error is the one to report
             temporary.unlink()
 
 
@@ -47,27 +47,27 @@ def write_text(path: Path, text: str) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder that is there after a power failure too. Raises SessionError when the disk or its rights forbid."""
+    """Create a folder that survives a power failure. Raises SessionError if disk or permissions prevent it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         sync_folder(folder.parent)
     except OSError as error:
         raise SessionError(
-            f"{folder} cannot be made ({error.strerror}): free some of the disk, mend its rights, or choose "
-            "another folder"
+            f"{folder} cannot be created ({error.strerror}): free disk space, fix the permissions, or choose another "
+            "folder"
         ) from error
 
 
 def remove_file(path: Path) -> None:
-    """Delete a file, if it is there. Raises SessionError when the disk or its rights forbid."""
+    """Delete a file if it exists. Raises SessionError if disk or permissions prevent it."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise SessionError(f"{path} cannot be deleted ({error.strerror}): mend the rights of its folder") from error
+        raise SessionError(f"{path} cannot be deleted ({error.strerror}): fix the permissions of its folder") from error
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk: without it a renamed file can be lost with the power."""
+    """Flush the entries of a folder to the disk; otherwise a renamed file may be lost in a power failure."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -76,19 +76,19 @@ def sync_folder(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete the temporary files of writers that were killed, and of none that still runs."""
+    """Delete temporary files whose writer no longer runs."""
     for leftover in folder.glob(f".*{_SUFFIX}"):
         if not _is_being_written(leftover):
-            with suppress(OSError):  # they do no harm
+            with suppress(OSError):  # harmless if it stays
                 leftover.unlink()
 
 
 def _is_being_written(temporary: Path) -> bool:
-    """Whether the process still runs, as far as this machine knows, that has given the file its name."""
-    parts = temporary.name.split(".")[-3:]  # as replace_file puts them: process, thread, suffix
+    """Return whether the process in the name of a temporary file still runs on this machine."""
+    parts = temporary.name.split(".")[-3:]  # process, thread, suffix
     return len(parts) == 3 and parts[0].isdecimal() and os.path.exists(f"/proc/{parts[0]}")
 
 
 def is_leftover(name: str) -> bool:
-    """Whether a file name is that of a temporary file."""
+    """Return whether a file name is that of a temporary file."""
     return name.startswith(".") and name.endswith(_SUFFIX)

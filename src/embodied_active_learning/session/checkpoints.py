@@ -1,9 +1,10 @@
-"""Checkpoints from which training goes on as if nothing had happened, and the final model."""
+"""Checkpoints, from which training resumes exactly, and the final model."""
 
 from __future__ import annotations
 
 import re
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
@@ -11,6 +12,7 @@ import torch
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.files import FileReader
+from embodied_active_learning.schema import build, required
 from embodied_active_learning.session.array_files import READER
 from embodied_active_learning.session.atomic import make_folder, remove_leftovers
 from embodied_active_learning.session.paths import stays_inside
@@ -26,16 +28,31 @@ class Checkpoint(NamedTuple):
     updates: int
     tensors: Dict[str, torch.Tensor]
     counters: Dict[str, Any]
-    refused: Tuple[str, ...] = ()  # why newer checkpoints could not be used
+    refused: Tuple[str, ...] = ()  # errors of newer checkpoints that are damaged
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """The facts of a checkpoint file."""
+
+    updates: int = required("model updates", low=0)
+    counters: Dict[str, Any] = required("counters of the training")  # noqa: RUF009
 
 
 def save_checkpoint(
     folder: Path, updates: int, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any], keep: int = 2
 ) -> Path:
-    """Write the checkpoint of that many updates; of the others stay the `keep` - 1 before it.
+    """Write a checkpoint and delete older ones.
 
-    Counters are plain: numbers, texts, lists, dictionaries. Raises SessionError when the disk fails or a tensor is not
-    finite; the earlier checkpoints are kept then.
+    Args:
+        folder: Folder of the checkpoints.
+        updates: Number of model updates.
+        tensors: State of network and optimiser.
+        counters: Plain data (numbers, texts, lists, dictionaries).
+        keep: Number of checkpoints to keep, including the new one.
+
+    Raises:
+        SessionError: The disk failed, or a tensor is not finite; earlier checkpoints are kept.
     """
     folder = Path(folder)
     stays_inside(folder.parent, folder)
@@ -44,41 +61,42 @@ def save_checkpoint(
     path = folder / f"checkpoint_{updates:09d}.safetensors"
     write_tensors(path, "checkpoint", tensors, {"updates": updates, "counters": counters})
     stored = _newest_first(folder)
-    # Later ones are left from before training went back to an earlier checkpoint: they were refused.
+    # Checkpoints of more updates remain from before a rollback.
     kept = stored[stored.index(path) :][:keep]
     for other in stored:
         if other not in kept:
-            with suppress(OSError):  # what resists is left to the next time
+            with suppress(OSError):  # the next call tries again
                 other.unlink()
     return path
 
 
 def load_latest(folder: Path) -> Optional[Checkpoint]:
-    """The newest checkpoint that is whole, and why newer ones were refused; None when there are none.
+    """Return the newest intact checkpoint; None if there are none.
 
-    Raises CorruptFileError when there are checkpoints but none can be used.
+    Raises:
+        CorruptFileError: All checkpoints are damaged.
     """
     refused: List[str] = []
     for path in _newest_first(stays_inside(Path(folder).parent, Path(folder))):
         try:
-            tensors, facts = read_tensors(path, "checkpoint")
-            READER.expect_types(path, facts, {"updates": (int,), "counters": (dict,)})
-            READER.expect(path, facts, {"updates": int(_NAME.match(path.name).group(1))})
-            return Checkpoint(path, facts["updates"], tensors, facts["counters"], tuple(refused))
+            tensors, stored = read_tensors(path, "checkpoint")
+            facts = build(_Facts, stored, path, CorruptFileError, READER.remedy)
+            READER.expect(path, stored, {"updates": int(path.stem.split("_")[1])})
+            return Checkpoint(path, facts.updates, tensors, facts.counters, tuple(refused))
         except CorruptFileError as error:
             refused.append(str(error))
     if refused:
-        raise CorruptFileError(f"no checkpoint in {folder} can be used: {'; '.join(refused)}")
+        raise CorruptFileError(f"all checkpoints in {folder} are damaged: {'; '.join(refused)}")
     return None
 
 
 def save_model(path: Path, tensors: Dict[str, torch.Tensor], metadata: Dict[str, Any]) -> None:
-    """Write a model and plain facts about it. Raises SessionError as save_checkpoint does."""
+    """Write a model and plain facts about it. Raises SessionError like save_checkpoint."""
     write_tensors(Path(path), "model", tensors, metadata)
 
 
 def load_model(path: Path, reader: FileReader = READER) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
-    """The tensors of a model and the facts about it. Raises CorruptFileError naming the file and the field."""
+    """Return the tensors of a model and the facts about it. Raises CorruptFileError naming the file and the field."""
     return read_tensors(Path(path), "model", reader)
 
 

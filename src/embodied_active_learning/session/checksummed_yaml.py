@@ -1,4 +1,4 @@
-"""YAML files with a checksum of their own content: a digit that has changed on the disk is not taken for a setting."""
+"""YAML files with a checksum of their content, which detects changed digits as well as truncation."""
 
 from __future__ import annotations
 
@@ -9,37 +9,62 @@ from typing import Any, Dict
 
 import yaml
 
-from embodied_active_learning.files import FileReader
+from embodied_active_learning.files import FileReader, shown
 from embodied_active_learning.session.atomic import write_text
 
-# No single changed bit makes a comment of this word, which would hide the line.
-SEAL = "sha256"
+# A single changed bit cannot turn this word into a comment that hides the line.
+CHECKSUM = "sha256"
+_FIRST_WITH_CHECKSUM = 2
 
 
-def write_sealed(path: Path, content: Dict[str, Any]) -> None:
+def write_checksummed(path: Path, content: Dict[str, Any]) -> None:
     """Write plain fields and their checksum atomically."""
-    write_text(path, sealed_text(content))
+    write_text(path, checksummed_text(content))
 
 
-def sealed_text(content: Dict[str, Any]) -> str:
-    """Plain fields and their checksum as YAML."""
-    return yaml.safe_dump({**content, SEAL: _digest(content)}, sort_keys=False)
+def checksummed_text(content: Dict[str, Any]) -> str:
+    """Return plain fields and their checksum as YAML."""
+    return yaml.safe_dump({**content, CHECKSUM: _digest(content)}, sort_keys=False)
 
 
-def check_version(path: Path, content: Dict[str, Any], version: int, reader: FileReader) -> None:
-    """Refuse a file of another version than this one, and than version 1, which had no checksum."""
-    if type(content.get("version")) is not int or content["version"] not in (1, version):
-        reader.expect(path, content, {"version": version})
+def read_checksummed(path: Path, reader: FileReader, file_format: str = "", newest: int = 1) -> Dict[str, Any]:
+    """Read a file of write_checksummed.
 
+    Args:
+        path: The file.
+        reader: Error class and remedy.
+        file_format: Expected `format` field; empty for files without format and version. Version 1 of a format has
+            no checksum.
+        newest: Newest `version` that this package can read.
 
-def remove_seal(path: Path, content: Dict[str, Any], reader: FileReader) -> Dict[str, Any]:
-    """The fields without their checksum, which must be right; only files of version 1 and of none may lack it."""
-    if content.get("version", 1) != 1 and SEAL not in content:
-        raise reader.refuse(f"{path}:", f"{SEAL} is missing, so the end of the file was lost")
-    fields = {field: value for field, value in content.items() if field != SEAL}
-    if SEAL in content and content[SEAL] != _digest(fields):
-        raise reader.refuse(f"{path}:", f"{SEAL} does not fit the rest, so the file was changed after it was written")
+    Returns:
+        The fields without the checksum.
+
+    Raises:
+        reader.error: The file is malformed, damaged, or of a newer version.
+    """
+    content = reader.read_yaml(path)
+    if file_format:
+        reader.expect(path, content, {"format": file_format})
+        _check_version(path, content.get("version"), newest, reader)
+    fields = {name: value for name, value in content.items() if name != CHECKSUM}
+    if CHECKSUM in content:
+        if content[CHECKSUM] != _digest(fields):
+            raise reader.refuse(f"{path}:", f"{CHECKSUM} does not match, so the file was changed after it was written")
+    elif not file_format or content["version"] >= _FIRST_WITH_CHECKSUM:
+        raise reader.refuse(f"{path}:", f"{CHECKSUM} is missing, so the end of the file was lost")
     return fields
+
+
+def _check_version(path: Path, version: Any, newest: int, reader: FileReader) -> None:
+    if type(version) is not int or version < 1:
+        raise reader.refuse(f"{path}:", f"version is {shown(version)}, expected a number from 1")
+    if version > newest:
+        raise reader.refuse(
+            f"{path}:",
+            f"version is {version}, but this package reads versions up to {newest}; "
+            "install the newer version of embodied_active_learning that wrote the file",
+        )
 
 
 def _digest(content: Dict[str, Any]) -> str:

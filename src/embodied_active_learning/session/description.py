@@ -1,23 +1,25 @@
-"""config.yaml of a session: the whole resolved configuration, and which package wrote it."""
+"""config.yaml of a session: the complete configuration, and the package version that wrote it."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, List, Tuple
 
 from embodied_active_learning import __version__
 from embodied_active_learning.config import Config
+from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.session.checksummed_yaml import check_version, remove_seal, write_sealed
+from embodied_active_learning.schema import build, to_plain
+from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
 
 FORMAT = "embodied_active_learning/session"
-VERSION = 2  # since it has a checksum
 
 _READER = FileReader(CorruptFileError, "restore it, or choose another session")
 
-# What the stored observations and weights depend on; everything else may change when a session is continued.
+# Settings that the stored observations and weights depend on; all others may change when a session is continued.
 FIXED: Tuple[Tuple[str, Tuple[str, ...]], ...] = (
     ("workspace", ()),
     ("camera", ("width", "height", "field_of_view", "distance")),
@@ -29,32 +31,42 @@ FIXED: Tuple[Tuple[str, Tuple[str, ...]], ...] = (
 )
 
 
+@dataclass(frozen=True)
+class _Description:
+    """The fields of the file."""
+
+    format: str
+    version: int
+    package_version: str
+    written: str
+    config: Any
+
+
 def write_description(path: Path, config: Config) -> None:
     """Write the configuration of a run atomically."""
-    content = {
-        "format": FORMAT,
-        "version": VERSION,
-        "package_version": __version__,
-        "written": time.strftime("%Y-%m-%d %H:%M:%S %z"),
-        "config": config.to_dict(),
-    }
-    write_sealed(path, content)
+    written = time.strftime("%Y-%m-%d %H:%M:%S %z")
+    write_checksummed(path, to_plain(_Description(FORMAT, CONFIG_VERSION, __version__, written, to_plain(config))))
 
 
 def read_description(path: Path) -> Config:
-    """The configuration of a run. Raises CorruptFileError naming the file and the field."""
-    content = _READER.read_yaml(path)
-    _READER.expect(path, content, {"format": FORMAT})
-    check_version(path, content, VERSION, _READER)
-    content = remove_seal(path, content, _READER)
+    """Read the configuration of a run, written by this version or an older one.
+
+    Raises:
+        CorruptFileError: The file is damaged or of a newer version; names the file and the field.
+    """
+    content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
+    found = build(_Description, content, path, CorruptFileError, _READER.remedy)
     try:
-        return Config.from_dict(content.get("config"))
+        return stored_config(found.config, found.version)
     except ConfigError as error:
-        raise _READER.refuse(f"{path}:", str(error)) from error
+        raise CorruptFileError(
+            f"{path}: {error}; the session was written by embodied_active_learning {found.package_version}: open it "
+            "with that version, restore the file, or choose another session"
+        ) from error
 
 
 def is_description(path: Path) -> bool:
-    """Whether a file is the description of a session that can be read."""
+    """Return whether a file is a readable description of a session."""
     try:
         read_description(path)
     except CorruptFileError:
@@ -63,7 +75,7 @@ def is_description(path: Path) -> bool:
 
 
 def changed_keys(stored: Config, wanted: Config) -> List[str]:
-    """What keeps `wanted` from continuing a session with the `stored` configuration, in words; empty when nothing."""
+    """Return the differences that prevent a session from being continued with another configuration."""
     before, after = stored.to_dict(), wanted.to_dict()
     changes = []
     for section, keys in FIXED:
@@ -75,5 +87,5 @@ def changed_keys(stored: Config, wanted: Config) -> List[str]:
 
 
 def _comparable(key: str, value: Any) -> Any:
-    # The same world may lie elsewhere after a new installation.
+    # A new installation may store the same world in another folder.
     return Path(value).stem if key == "world" else value

@@ -1,4 +1,4 @@
-"""Whether the disk has room for a run, asked before the run rather than found out at its end."""
+"""Disk space for a run, checked before it starts."""
 
 from __future__ import annotations
 
@@ -15,39 +15,48 @@ from embodied_active_learning.session.records import RecordLayout
 
 SPARE_BYTES = 200_000_000
 _BYTES_PER_WEIGHT = 4
-_COPIES_WITH_OPTIMISER = 4  # weights, Adam's two moments, and the weights of the model before
+_COPIES_IN_CHECKPOINT = 4  # weights, Adam's two moments, and the weights of the previous model
 
 
 def check_space(folder: Path, config: Config, stored_bytes: int = 0) -> None:
-    """Raise SessionError unless the folder can be written and has room for the run, less what is stored already."""
+    """Check that a folder is writable and has space for the rest of a run.
+
+    Args:
+        folder: The session folder, which need not exist.
+        config: Configuration of the run.
+        stored_bytes: Bytes of the run that are stored already.
+
+    Raises:
+        SessionError: Too little space, or no permission.
+    """
     needed = max(estimate_bytes(config) - stored_bytes, 0) + SPARE_BYTES
     existing = _existing(folder)
     if not existing.is_dir():
-        raise SessionError(f"{folder} cannot be created, as {existing} is no folder: choose another session/root")
+        raise SessionError(f"{folder} cannot be created, {existing} is not a folder: choose another session/root")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise SessionError(
-            f"{folder} cannot be written, as {existing} {_why_not_writable(existing)}: mend that, or choose another "
+            f"{folder} cannot be written, {existing} {_why_not_writable(existing)}: fix that, or choose another "
             "session/root"
         )
     free = free_bytes(existing)
     if free < needed:
         raise SessionError(
             f"{folder} needs about {needed / 1e9:.1f} GB for {config.exploration.steps} observations of "
-            f"{config.camera.width} x {config.camera.height} px, but {free / 1e9:.1f} GB are free: free some, set "
-            "session/root to another disk, or lower exploration/steps"
+            f"{config.camera.width} x {config.camera.height} px, but {free / 1e9:.1f} GB are free: free disk space, "
+            "set session/root to another disk, or lower exploration/steps"
         )
 
 
 def free_bytes(path: Path) -> int:
-    """Bytes that can still be written where a path is, or will be. Raises SessionError when that cannot be told."""
+    """Return the free bytes on the disk of a path, which need not exist. Raises SessionError if that is unknown."""
     try:
         return shutil.disk_usage(_existing(Path(path))).free
     except OSError as error:
-        raise SessionError(f"the free space of {path} cannot be told ({error.strerror}): see to the disk") from error
+        raise SessionError(f"free space of {path} is unknown ({error.strerror}): check the disk") from error
 
 
 def bytes_below(folder: Path) -> int:
-    """Bytes in the files of a session, as far as they are still there when looked at; links and bags count nothing."""
+    """Return the bytes in the files of a session, without links and bags. Files may disappear meanwhile."""
     total = 0
     for parent, folders, names in os.walk(folder):
         if parent == str(folder) and BAGS_FOLDER in folders:
@@ -59,28 +68,28 @@ def bytes_below(folder: Path) -> int:
     return total
 
 
+def estimate_bytes(config: Config) -> int:
+    """Estimate the bytes that a complete run stores: observations, checkpoints and model."""
+    record = RecordLayout((config.camera.height, config.camera.width, 3)).size
+    model = _BYTES_PER_WEIGHT * _estimate_weights(config)
+    # One more than are kept, because a new checkpoint is complete before an old one is deleted.
+    checkpoints = (config.training.checkpoints_kept + 1) * _COPIES_IN_CHECKPOINT * model
+    return config.exploration.steps * record + checkpoints + model
+
+
 def _existing(path: Path) -> Path:
-    """The path, or the nearest one above it that there is."""
+    """Return the path or its nearest existing parent."""
     return next(parent for parent in (path, *path.parents) if parent.exists())
 
 
 def _why_not_writable(folder: Path) -> str:
     if os.statvfs(folder).f_flag & os.ST_RDONLY:
-        return "lies on a disk that is mounted read-only"
-    return "may not be written by this user"
-
-
-def estimate_bytes(config: Config) -> int:
-    """About how many bytes a whole run stores: its observations, its checkpoints and its model."""
-    record = RecordLayout((config.camera.height, config.camera.width, 3)).size
-    model = _BYTES_PER_WEIGHT * _estimate_weights(config)
-    # One more than are kept, because a new checkpoint is whole before an old one goes.
-    checkpoints = (config.training.checkpoints_kept + 1) * _COPIES_WITH_OPTIMISER * model
-    return config.exploration.steps * record + checkpoints + model
+        return "is on a disk that is mounted read-only"
+    return "is not writable by this user"
 
 
 def _estimate_weights(config: Config) -> int:
-    """Weights of the fully connected layers, encoder and decoder; the convolutions have next to none."""
+    """Estimate the weights of the fully connected layers; the convolutions have few."""
     height, width = config.camera.height, config.camera.width
     for stride in config.model.strides:
         height, width = -(-height // stride), -(-width // stride)

@@ -1,7 +1,7 @@
-"""The fingerprints of a session: one folder, a generation, for everything that one call of /fingerprint has found.
+"""The fingerprints of a session: one numbered folder (generation) per call of /fingerprint.
 
-A set is written whole under a temporary name and renamed to the next generation's number: the rename is the commit.
-Whatever kills the process or the machine, the newest generation is the old set or the new one, never half of one.
+A set is written completely under a temporary name and committed by renaming it to the number of the next generation.
+Whatever kills the process or the machine, the newest generation is complete.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import os
 import re
 import shutil
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List
+from typing import Collection, Iterable, Iterator, List, Tuple
 
 import cv2
 import numpy as np
@@ -24,6 +24,7 @@ from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import FileReader, open_plain, shown
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, FingerprintSet
+from embodied_active_learning.schema import build, required, to_plain
 from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import is_leftover, sync_folder, write_bytes, write_text
 from embodied_active_learning.session.checkpoints import load_model, save_model
@@ -40,20 +41,41 @@ FINGERPRINT_FILE = "fingerprint.safetensors"
 THUMBNAIL_FILE = "thumbnail.png"
 
 _KIND = "fingerprint"
-_SET_FACTS = ("session", "updates", "observations", "created", "names")
-_FINGERPRINT_FACTS = ("name", "kind", "importance")
 _GENERATION = re.compile(r"[0-9]{6,}")
 _READER = FileReader(CorruptFileError, "restore it, or call /fingerprint again")
 _MODEL_READER = replace(_READER, limit=array_files.READER.limit)
 _FINGERPRINT_READER = replace(_READER, limit=2**30)
 
 
-def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
-    """Store a set in a session's folder in place of the one before it. -> the folder of the new generation.
+@dataclass(frozen=True)
+class _SetFacts:
+    """Facts of a set, stored in set.yaml and with the model."""
 
-    The session may be training meanwhile. Raises SessionError when the set does not fit the session, when another
-    process saves one at this moment, when the disk fails, when a tensor is not finite, or when a file is larger than
-    load_fingerprints takes; the set of before is kept then.
+    session: str = required("session that was learned")
+    updates: int = required("updates of the model")
+    observations: int = required("observations of the session")
+    created: str = required("UTC time")
+    names: Tuple[str, ...] = required("names of the fingerprints")
+
+
+@dataclass(frozen=True)
+class _FingerprintFacts:
+    """Facts of a fingerprint file."""
+
+    name: str = required("name of the fingerprint")
+    kind: str = required("object or blank")
+    importance: float = required("share of the importance samples")
+
+
+def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
+    """Store a set in place of the previous one. The session may be training meanwhile.
+
+    Returns:
+        The folder of the new generation.
+
+    Raises:
+        SessionError: The set does not belong to the session, another process is saving one, the disk failed, a tensor
+            is not finite, or a file is too large to be read back. The previous set is kept.
     """
     session_path = Path(session_path)
     folder = SessionPaths(session_path).fingerprints
@@ -70,16 +92,17 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
         if not isinstance(reason, OSError):
             raise
         raise SessionError(
-            f"{folder} cannot be written ({reason.strerror}): free some of the disk, or make the folder writable; the "
-            "last whole set is kept"
+            f"{folder} cannot be written ({reason.strerror}): free disk space, or make the folder writable; the "
+            "previous set is kept"
         ) from error
 
 
 def load_fingerprints(session_path: Path) -> FingerprintSet:
-    """The newest set of a session, with the session's configuration; the arrays are exactly those that were saved.
+    """Read the newest set of a session, with the session's configuration.
 
-    Raises SessionError when there is none yet, CorruptFileError naming the file and the field when it is damaged, was
-    not written by this package, or leads out of the session's folder.
+    Raises:
+        SessionError: There is none yet.
+        CorruptFileError: It is damaged, or a link out of the session; names the file and the field.
     """
     session_path = Path(session_path)
     config = read_description(SessionPaths(session_path).config)
@@ -88,13 +111,13 @@ def load_fingerprints(session_path: Path) -> FingerprintSet:
         try:
             return _read_set(session_path, generation, config)
         except CorruptFileError:
-            # A save may have replaced what was being read; damage stays where it is.
+            # A new set may have replaced the one that was being read.
             if _newest(session_path) == generation:
                 raise
 
 
 def has_fingerprints(session_path: Path) -> bool:
-    """Whether a set was ever saved in a session's folder; it is not looked into."""
+    """Return whether a session has a set, which may be damaged."""
     return bool(_generations(SessionPaths(session_path).fingerprints))
 
 
@@ -102,13 +125,13 @@ def _check_belongs(session_path: Path, found: FingerprintSet) -> None:
     changes = changed_keys(read_description(SessionPaths(session_path).config), found.config)
     if changes:
         raise SessionError(
-            f"fingerprints do not belong to session {session_path}: {'; '.join(changes)}; take them "
-            "with its own settings"
+            f"fingerprints do not belong to session {session_path}: {'; '.join(changes)}; collect "
+            "them with its own settings"
         )
 
 
 def _replace_set(folder: Path, found: FingerprintSet) -> Path:
-    """Write the next generation, and delete what it makes useless. Only for the one who holds the lock."""
+    """Write the next generation and delete the previous ones. The caller holds the lock."""
     _remove(path for path in folder.glob("*") if is_leftover(path.name))
     before = _generations(folder)
     target = folder / f"{int(before[0].name) + 1 if before else 1:06d}"
@@ -135,16 +158,16 @@ def _write_set(folder: Path, found: FingerprintSet) -> None:
         "created": found.created,
         "names": [fingerprint.name for fingerprint in found.fingerprints],
     }
-    # The model's file is checksummed: with it, a changed set.yaml does not pass for the one that was written.
+    # The model file has a checksum, so that a changed set.yaml is detected.
     save_model(folder / MODEL_FILE, found.weights, facts)
     _refuse_large(folder / MODEL_FILE, _MODEL_READER, "choose smaller model/hidden_sizes")
-    # Last, because it brings the names of all the others to the disk.
+    # Last, because it flushes the names of all the others to the disk.
     write_text(folder / SET_FILE, yaml.safe_dump({"format": FORMAT, "version": VERSION, **facts}, sort_keys=False))
     _refuse_large(folder / SET_FILE, _READER, "keep fewer fingerprints")
 
 
 def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
-    # torch takes neither arrays that are read-only nor those that run backwards.
+    # torch accepts neither read-only arrays nor negative strides.
     tensors = {
         field: torch.from_numpy(np.require(getattr(fingerprint, field), requirements=["C", "W"])) for field in ARRAYS
     }
@@ -160,38 +183,51 @@ def _read_set(session_path: Path, generation: Path, config: Config) -> Fingerpri
     facts = _read_set_file(session_path, path)
     _check_inside(session_path, model)
     weights, written = load_model(model, _MODEL_READER)
-    _READER.expect_fields(model, written, _SET_FACTS)
-    _READER.expect(path, facts, written)
-    fingerprints = tuple(
-        _read_fingerprint(session_path, generation / name / FINGERPRINT_FILE) for name in facts.pop("names")
-    )
+    _READER.expect(path, to_plain(facts), to_plain(build(_SetFacts, written, model, CorruptFileError, _READER.remedy)))
+    fingerprints = tuple(_read_fingerprint(session_path, generation / name / FINGERPRINT_FILE) for name in facts.names)
     with _damage_in(path):
-        return FingerprintSet(config=config, weights=weights, fingerprints=fingerprints, **facts)
+        return FingerprintSet(
+            session=facts.session,
+            updates=facts.updates,
+            observations=facts.observations,
+            created=facts.created,
+            config=config,
+            weights=weights,
+            fingerprints=fingerprints,
+        )
 
 
-def _read_set_file(session_path: Path, path: Path) -> Dict[str, Any]:
-    """The facts of a set, and names that are safe to make paths of; the other facts are not checked yet."""
+def _read_set_file(session_path: Path, path: Path) -> _SetFacts:
+    """Return the facts of a set, with names that are safe in paths."""
     _check_inside(session_path, path)
     content = _READER.read_yaml(path)
-    _READER.expect_fields(path, content, ("format", "version", *_SET_FACTS))
     _READER.expect(path, content, {"format": FORMAT, "version": VERSION})
-    facts = {field: content[field] for field in _SET_FACTS}
-    if not isinstance(facts["names"], list):
-        raise _READER.refuse(f"{path}:", f"names is {shown(facts['names'])}, expected a list")
+    facts = {name: value for name, value in content.items() if name not in ("format", "version")}
+    found = build(_SetFacts, facts, path, CorruptFileError, _READER.remedy)
     with _damage_in(path):
-        for name in facts["names"]:
+        for name in found.names:
             check_name(name, "one of names")
-    return facts
+    return found
 
 
 def _read_fingerprint(session_path: Path, path: Path) -> Fingerprint:
     _check_inside(session_path, path)
     with _damage_in(path):
-        tensors, facts = read_tensors(path, _KIND, _FINGERPRINT_READER)
-        _READER.expect_fields(path, facts, _FINGERPRINT_FACTS)
-        _READER.expect(path, facts, {"name": path.parent.name})
-        _READER.expect_fields(path, tensors, ARRAYS)
-        return Fingerprint(**facts, **{field: tensor.numpy() for field, tensor in tensors.items()})
+        tensors, stored = read_tensors(path, _KIND, _FINGERPRINT_READER)
+        facts = build(_FingerprintFacts, stored, path, CorruptFileError, _READER.remedy)
+        _READER.expect(path, stored, {"name": path.parent.name})
+        _check_names(path, tensors)
+        return Fingerprint(**to_plain(facts), **{field: tensor.numpy() for field, tensor in tensors.items()})
+
+
+def _check_names(path: Path, tensors: Collection[str]) -> None:
+    """Check that the tensors are exactly the arrays of a fingerprint."""
+    for name in ARRAYS:
+        if name not in tensors:
+            raise _READER.refuse(f"{path}:", f"{name} is missing")
+    for name in tensors:
+        if name not in ARRAYS:
+            raise _READER.refuse(f"{path}:", f"tensor {shown(name)} is unknown")
 
 
 def _check_inside(session_path: Path, path: Path) -> None:
@@ -200,13 +236,13 @@ def _check_inside(session_path: Path, path: Path) -> None:
 
 
 def _refuse_large(path: Path, reader: FileReader, remedy: str) -> None:
-    """Refuse to keep a file that would not be read back."""
+    """Check that a file is small enough to be read back."""
     replace(reader, error=SessionError, remedy=remedy).check(path)
 
 
 @contextmanager
 def _damage_in(path: Path) -> Iterator[None]:
-    """Turn whatever a stored file is refused for into an error that names it."""
+    """Turn errors about the content of a file into a CorruptFileError that names it."""
     try:
         yield
     except CorruptFileError:
@@ -216,7 +252,7 @@ def _damage_in(path: Path) -> Iterator[None]:
 
 
 def _generations(folder: Path) -> List[Path]:
-    """What has the name of a generation, the newest first."""
+    """Return the generations, the newest first."""
     found = [path for path in folder.glob("*") if _GENERATION.fullmatch(path.name)]
     return sorted(found, key=lambda path: int(path.name), reverse=True)
 
@@ -232,7 +268,7 @@ def _newest(session_path: Path) -> Path:
 
 
 def _remove(paths: Iterable[Path]) -> None:
-    """Delete files and folders, and never what a link leads to. What resists is left to the next save."""
+    """Delete files and folders without following links. The next save tries again if one fails."""
     for path in paths:
         with suppress(OSError):
             if path.is_dir() and not path.is_symlink():

@@ -1,4 +1,4 @@
-"""What an identification has found: decisions to read, beliefs and trace to look into, below identification/<name>/."""
+"""Results of an identification, in identification/<name>/: decisions, beliefs and trace."""
 
 from __future__ import annotations
 
@@ -9,68 +9,95 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, get_type_hints
 
 import numpy as np
 import torch
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.files import LARGEST_YAML, FileReader, plain_types
+from embodied_active_learning.files import LARGEST_YAML, FileReader
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.schema import build, required
 from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
-from embodied_active_learning.session.checksummed_yaml import check_version, remove_seal, sealed_text
+from embodied_active_learning.session.checksummed_yaml import checksummed_text, read_checksummed
 from embodied_active_learning.session.paths import SessionPaths, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/decisions"
-VERSION = 2  # since it has a checksum
+VERSION = 3
 DECISIONS_FILE = "decisions.yaml"
 TABLE_FILE = "decisions.csv"
 BELIEFS_FILE = "beliefs.safetensors"
 TRACE_FILE = "trace.safetensors"
 _POSE = ("x", "y", "theta")
+_RENAMED = {3: {"sureness": "confidence", "mismatch": "residual"}}  # version -> old name of a decision's field -> name
 _READER = FileReader(CorruptFileError, "identify again")
 
 
 @dataclass(frozen=True)
-class Identified:
-    """The decisions of one identification, and what they rest on."""
+class StoredIdentification:
+    """The decisions of one identification, and the images behind them."""
 
     name: str
-    session: str  # whose images were looked at
+    session: str  # session of the images
     images: int
     decisions: Tuple[Decision, ...]
 
 
-def identification_folder(session_path: Path, name: str) -> Path:
-    """Where an identification of a session is kept.
+@dataclass(frozen=True)
+class _DecisionsFile:
+    """The fields of decisions.yaml."""
 
-    Raises SessionError for a name that is not allowed, or when the place is a link out of the session.
-    """
+    format: str = required("kind of the file")
+    version: int = required("version of the format")
+    name: str = required("name of the identification")
+    images: int = required("number of images", low=0)
+    session: str = required("session of the images")
+    decisions: Tuple[Any, ...] = required("rows of _Row")
+
+
+def _row_class() -> type:
+    """Return a checked dataclass of a decision's plain fields: the pose as x, y, theta; None for an infinite value."""
+    hints = {field.name: get_type_hints(Decision)[field.name] for field in dataclasses.fields(Decision)}
+    plain = {name: Optional[kind] if name == "residual" else kind for name, kind in hints.items() if name != "pose"}
+    return dataclasses.make_dataclass("_Row", [*plain.items(), *((name, float) for name in _POSE)], frozen=True)
+
+
+_Row = _row_class()
+
+
+def identification_folder(session_path: Path, name: str) -> Path:
+    """Return the folder of an identification. Raises SessionError for an invalid name or a link out of the session."""
     folder = SessionPaths(session_path).identification / check_name(name, "name of the identification")
     return stays_inside(Path(session_path), folder)
 
 
 def is_identified(session_path: Path, name: str) -> bool:
-    """Whether there is a finished identification of that name. Raises SessionError as identification_folder does."""
+    """Return whether an identification of that name is complete. Raises SessionError like identification_folder."""
     return os.path.lexists(identification_folder(session_path, name) / DECISIONS_FILE)
 
 
 def save_identification(
     session_path: Path, name: str, identification: Identification, decisions: Sequence[Decision]
 ) -> Path:
-    """Write everything about an identification -> its folder. The decisions come last: without them it is not finished.
+    """Write an identification in place of an earlier one of the same name.
 
-    An earlier one of the same name is replaced. Raises SessionError when the disk fails.
+    The decisions are written last: without them it is incomplete.
+
+    Returns:
+        Its folder.
+
+    Raises:
+        SessionError: The disk failed.
     """
     folder = identification_folder(session_path, name)
     facts = {"images": identification.images, "session": session_path.name}
     rows = [_plain(decision) for decision in decisions]
-    text = sealed_text({"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows})
+    text = checksummed_text({"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows})
     if len(text) > LARGEST_YAML:
-        raise SessionError(f"{len(rows)} decisions would not be read back from {folder}: look for fewer fingerprints")
+        raise SessionError(f"{len(rows)} decisions are too many for {folder}: search for fewer fingerprints")
     make_folder(folder)
     remove_leftovers(folder)
     for stale in (folder / DECISIONS_FILE, *folder.glob("*.png")):
@@ -82,28 +109,32 @@ def save_identification(
     return folder
 
 
-def load_identification(session_path: Path, name: str) -> Identified:
-    """The decisions of a finished one. Raises SessionError when there is none, CorruptFileError when it is damaged."""
+def load_identification(session_path: Path, name: str) -> StoredIdentification:
+    """Read the decisions of a complete identification.
+
+    Raises:
+        SessionError: There is none of that name.
+        CorruptFileError: It is damaged or of a newer version.
+    """
     path = identification_folder(session_path, name) / DECISIONS_FILE
     if not os.path.lexists(path):
-        raise SessionError(f"{path} is missing: there is no identification of that name, or it did not finish")
-    content = _READER.read_yaml(path)
-    _READER.expect(path, content, {"format": FORMAT, "name": name})
-    check_version(path, content, VERSION, _READER)
-    content = remove_seal(path, content, _READER)
-    _READER.expect_types(path, content, _TYPES)
-    decisions = tuple(_decision(path, index, row) for index, row in enumerate(content["decisions"]))
-    return Identified(name, content["session"], content["images"], decisions)
+        raise SessionError(f"{path} is missing: no identification has that name, or it did not finish")
+    stored = read_checksummed(path, _READER, FORMAT, VERSION)
+    _READER.expect(path, stored, {"name": name})
+    content = build(_DecisionsFile, stored, path, CorruptFileError, _READER.remedy)
+    rows = enumerate(_upgrade(row, content.version) for row in content.decisions)
+    decisions = tuple(_decision(f"{path}: decision {index}", row) for index, row in rows)
+    return StoredIdentification(name, content.session, content.images, decisions)
 
 
 def load_trace(session_path: Path, name: str) -> Dict[str, torch.Tensor]:
-    """The trace of every image: "<session>/<fingerprint>/view", distance, value (N,) and pose (N, 3), on the CPU."""
+    """Read the trace of every image: "<session>/<fingerprint>/view", distance, value (N,) and pose (N, 3)."""
     tensors, _ = read_tensors(identification_folder(session_path, name) / TRACE_FILE, "trace")
     return tensors
 
 
 def load_beliefs(session_path: Path, name: str) -> Dict[str, torch.Tensor]:
-    """The belief grids: "<session>/<fingerprint>/mean" and std (nx, ny, nyaw), and the axes x, y (m) and yaw (rad)."""
+    """Read the belief grids: "<session>/<fingerprint>/mean" and std (nx, ny, nyaw); axes x, y [m] and yaw [rad]."""
     tensors, _ = read_tensors(identification_folder(session_path, name) / BELIEFS_FILE, "beliefs")
     return tensors
 
@@ -131,7 +162,7 @@ def _trace(identification: Identification) -> Dict[str, torch.Tensor]:
 
 
 def _plain(decision: Decision) -> Dict[str, Any]:
-    """A decision as numbers and texts: the pose as x, y [m] and theta [rad]; no residual where no view was compared."""
+    """Return a decision as numbers and texts: the pose as x, y [m] and theta [rad]; None for an infinite residual."""
     row = {field.name: getattr(decision, field.name) for field in dataclasses.fields(decision)}
     pose = row.pop("pose")
     row.update({name: round(float(value), 5) for name, value in zip(_POSE, pose)})
@@ -141,27 +172,19 @@ def _plain(decision: Decision) -> Dict[str, Any]:
     return row
 
 
-def _decision(path: Path, index: int, row: Any) -> Decision:
-    """A decision as it was written. Raises CorruptFileError."""
-    _READER.expect_types(f"{path}: decision {index}", row, _DECISION_TYPES)
-    values = dict(row)
-    pose = [float(values.pop(name)) for name in _POSE]
-    values["residual"] = math.inf if values["residual"] is None else float(values["residual"])
-    return Decision(pose=np.array(pose), **values)
+def _upgrade(row: Any, version: int) -> Any:
+    """Return a decision with the names of the current version."""
+    names: Dict[str, str] = {}
+    for since, renamed in _RENAMED.items():
+        names.update(renamed if version < since else {})
+    return {names.get(name, name): value for name, value in row.items()} if isinstance(row, Mapping) else row
 
 
-def _decision_types() -> Dict[str, Tuple[type, ...]]:
-    """The plain types of a decision's fields, as _plain writes them."""
-    types = plain_types(Decision)
-    del types["pose"]
-    types.update(dict.fromkeys(_POSE, (float, int)), residual=(float, int, type(None)))
-    return types
-
-
-_TYPES = {
-    "format": (str,), "version": (int,), "name": (str,), "images": (int,), "session": (str,), "decisions": (list,),
-}  # fmt: skip
-_DECISION_TYPES = _decision_types()
+def _decision(subject: str, row: Any) -> Decision:
+    values = dataclasses.asdict(build(_Row, row, subject, CorruptFileError, _READER.remedy))
+    pose = np.array([values.pop(name) for name in _POSE])
+    values["residual"] = math.inf if values["residual"] is None else values["residual"]
+    return Decision(pose=pose, **values)
 
 
 def _table(rows: List[Dict[str, Any]]) -> str:

@@ -1,4 +1,4 @@
-"""One writer at a time, with locks that the kernel releases however their holder ends."""
+"""Exclusive write access through file locks, which the kernel releases however their holder ends."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from typing import BinaryIO, Iterator, Optional
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.files import open_plain
 
-_TRIES = 3
-_PAUSE = 0.1  # s between two tries
-_LONGEST_NAME = 200  # bytes of a lock file that are told
+_ATTEMPTS = 3
+_PAUSE = 0.1  # s between attempts
+_LONGEST_NAME = 200  # bytes of a lock file in a message
 
 
 def claim(stream: BinaryIO, path: Path) -> None:
-    """Lock an open file for this process until it is closed. Raises SessionError when another one has it."""
-    with _named(path):
+    """Lock an open file until it is closed. Raises SessionError if another process has locked it."""
+    with _errors_naming(path):
         if not _lock(stream, fcntl.LOCK_EX):
-            raise SessionError(f"{path} is being written by another process: end that one first")
+            raise SessionError(f"{path} is being written by another process: stop that process first")
 
 
 def acquire(path: Path) -> BinaryIO:
-    """Create and lock a lock file that names this process; closing it gives it back.
+    """Create and lock a lock file that names this process. Closing the returned stream releases it.
 
-    Raises SessionError naming the process that holds it, or the file when it cannot be locked.
+    Raises:
+        SessionError: Another process holds the lock (named), or the file cannot be locked.
     """
-    with _named(path):
+    with _errors_naming(path):
         stream = open_plain(path, "r+b")
         try:
-            if not _lock_patiently(stream):
+            if not _lock_with_retries(stream):
                 raise SessionError(in_use(path.parent, _name_in(stream)))
             stream.truncate(0)
             stream.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
@@ -44,11 +45,12 @@ def acquire(path: Path) -> BinaryIO:
 
 
 def holder(path: Path) -> Optional[str]:
-    """Who holds a lock file, such as "process 12 on robot"; None when it is free. Creates nothing.
+    """Return the holder of a lock file, such as "process 12 on robot"; None if it is free. Creates nothing.
 
-    Raises SessionError naming the file when that cannot be told.
+    Raises:
+        SessionError: The file cannot be locked.
     """
-    with _named(path):
+    with _errors_naming(path):
         try:
             stream = open_plain(path)
         except (FileNotFoundError, NotADirectoryError):
@@ -58,8 +60,8 @@ def holder(path: Path) -> Optional[str]:
 
 
 def in_use(folder: Path, who: str) -> str:
-    """What the second writer of a session is told."""
-    return f"session {folder} is in use by {who}: end that run, or choose another session/name"
+    """Return the error message for the second writer of a session."""
+    return f"session {folder} is in use by {who}: stop that run, or choose another session/name"
 
 
 def _name_in(stream: BinaryIO) -> str:
@@ -67,9 +69,9 @@ def _name_in(stream: BinaryIO) -> str:
     return os.pread(stream.fileno(), _LONGEST_NAME, 0).decode("utf-8", "replace").strip() or "another process"
 
 
-def _lock_patiently(stream: BinaryIO) -> bool:
-    """Whether the file could be locked: whoever asks for its holder locks it too, for a moment."""
-    for _ in range(_TRIES - 1):
+def _lock_with_retries(stream: BinaryIO) -> bool:
+    """Lock an open file; calls of holder() also lock it for a moment."""
+    for _ in range(_ATTEMPTS - 1):
         if _lock(stream, fcntl.LOCK_EX):
             return True
         time.sleep(_PAUSE)
@@ -77,7 +79,7 @@ def _lock_patiently(stream: BinaryIO) -> bool:
 
 
 def _lock(stream: BinaryIO, kind: int) -> bool:
-    """Lock an open file without waiting; False when another process has locked it."""
+    """Lock an open file without waiting; return False if another process has locked it."""
     try:
         fcntl.flock(stream.fileno(), kind | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -86,8 +88,8 @@ def _lock(stream: BinaryIO, kind: int) -> bool:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Turn what the system refuses, such as locks on a network drive without them, into an error naming the file."""
+def _errors_naming(path: Path) -> Iterator[None]:
+    """Turn an OSError, as on a network drive without locks, into a SessionError that names the file."""
     try:
         yield
     except OSError as error:

@@ -1,7 +1,7 @@
-"""The observations of a run: an append-only file of checksummed records, and the same in memory for the learner.
+"""The observations of a run: an append-only file of checksummed records, mirrored in memory for the learner.
 
-An observation is acknowledged only when it is on the disk. A process killed at any byte leaves at most one torn record
-at the end of the file, which was never acknowledged and is cut off when the store is opened for writing.
+An observation is acknowledged once it is on the disk. A killed process leaves at most one incomplete record at the end
+of the file, which was not acknowledged and is removed when the store is opened for writing.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.session.atomic import make_folder
-from embodied_active_learning.session.record_file import RecordFile
-from embodied_active_learning.session.records import RecordLayout
+from embodied_active_learning.session.records import RecordFile, RecordLayout
 from embodied_active_learning.workspace import Workspace
 
 LAYOUT_FILE = "format.json"
@@ -25,11 +24,11 @@ _FIRST_CAPACITY = 64
 
 
 class Observations(NamedTuple):
-    """N observations as arrays of one length."""
+    """N observations as arrays of equal length."""
 
     states: np.ndarray  # (N, D) float32, normalised
     raw_states: np.ndarray  # (N, D) float64, SI units
-    images: np.ndarray  # (N, H, W, 3) uint8, red first
+    images: np.ndarray  # (N, H, W, 3) uint8 RGB
     stamps: np.ndarray  # (N,) float64, seconds
 
 
@@ -61,10 +60,18 @@ class ObservationStore:
     def open_for_writing(
         cls, folder: Path, workspace: Workspace, image_shape: Sequence[int], capacity: int = 0
     ) -> ObservationStore:
-        """Create the store or go on with it; capacity is how many observations are expected.
+        """Create a store, or continue an existing one.
 
-        Raises CorruptFileError for a damaged store, SessionError when another process writes it, ObservationError when
-        it holds images of another shape.
+        Args:
+            folder: Folder of the store.
+            workspace: Converts states to normalised units.
+            image_shape: (H, W, 3).
+            capacity: Expected number of observations.
+
+        Raises:
+            CorruptFileError: The store is damaged.
+            SessionError: Another process writes it.
+            ObservationError: It has images of another shape.
         """
         layout = _own_layout(Path(folder), tuple(image_shape))
         return cls(Path(folder), layout, workspace, writable=True, capacity=capacity)
@@ -73,77 +80,90 @@ class ObservationStore:
     def open_read_only(
         cls, folder: Path, workspace: Workspace, image_shape: Optional[Sequence[int]] = None
     ) -> ObservationStore:
-        """What is stored at this moment. Never writes, so a running session can be looked at.
+        """Open a store for reading, also while another process writes it.
 
-        Raises CorruptFileError for a damaged store, SessionError when there is none, ObservationError when its images
-        have another shape than one that is given.
+        Raises:
+            CorruptFileError: The store is damaged.
+            SessionError: There is no store.
+            ObservationError: Its images do not have image_shape.
         """
         folder = Path(folder)
         if not os.path.lexists(folder / DATA_FILE):
-            raise SessionError(f"{folder} holds no observations yet: start the exploration")
+            raise SessionError(f"{folder} has no observations yet: start the exploration")
         layout = RecordLayout.load(folder / LAYOUT_FILE)
         if image_shape is not None:
             _check_shape(folder / LAYOUT_FILE, layout, tuple(image_shape))
         return cls(folder, layout, workspace, writable=False)
 
     def append(self, index: int, stamp: float, state: Sequence[float], image: np.ndarray) -> bool:
-        """Store observation number `index`: stamp in seconds, state (D,) in SI units, image (H, W, 3) uint8.
+        """Store an observation on the disk.
 
-        Returns when it is on the disk: True when it was new, False when the same one had been stored before.
-        Raises ObservationError when it can't be stored under that number, SessionError when the disk fails.
+        Args:
+            index: Its number, from 0; the next one, or a repetition of a stored one.
+            stamp: Time in seconds.
+            state: (D,) SI units.
+            image: (H, W, 3) uint8 RGB.
+
+        Returns:
+            True if it is new, False if the same observation was stored before.
+
+        Raises:
+            ObservationError: Invalid values, or another number than the next one.
+            SessionError: The disk failed.
         """
         if not self._writable:
-            raise SessionError(f"{self._file.path} is open for reading only: open the session for writing")
-        state = np.asarray(state, dtype=np.float64)
-        self._check(stamp, state, image)
+            raise SessionError(f"{self._file.path} is open read-only: open the session for writing")
+        values: np.ndarray = np.asarray(state, dtype=np.float64)
+        self._check(stamp, values, image)
         with self._appending:
             if index != self._count:
-                self._check_repeated(index, stamp, state, image)
+                self._check_repeated(index, stamp, values, image)
                 return False
-            self._file.write(index, self.layout.pack(index, stamp, state, image))
-            self._remember(stamp, state, image)
+            self._file.write(index, self.layout.pack(index, stamp, values, image))
+            self._add(stamp, values, image)
         return True
 
     def refresh(self) -> int:
-        """Read what another process has appended since -> the number of observations. For a store open for reading.
+        """Read new observations of another process into a read-only store. Return the number of observations.
 
-        Raises CorruptFileError for a damaged record.
+        Raises:
+            CorruptFileError: A record is damaged.
         """
         with self._appending:
             for record in self._file.read(self._count):
-                self._remember(float(record["stamp"]), record["state"], record["image"])
+                self._add(float(record["stamp"]), record["state"], record["image"])
             return self._count
 
     def snapshot(self) -> Observations:
-        """All arrays at one length. They stay as they are while more is appended."""
-        count = self._count  # first: the arrays are never shorter than a count that was seen
+        """Return all arrays at equal length. Later observations do not change them."""
+        count = self._count  # read first, because the arrays are at least that long
         return Observations(*(array[:count] for array in self._arrays))
 
     @property
     def states(self) -> np.ndarray:
-        """(N, D) float32, normalised states."""
+        """Normalised states. (N, D) float32."""
         return self.snapshot().states
 
     @property
     def raw_states(self) -> np.ndarray:
-        """(N, D) float64, states in SI units."""
+        """States in SI units. (N, D) float64."""
         return self.snapshot().raw_states
 
     @property
     def images(self) -> np.ndarray:
-        """(N, H, W, 3) uint8 images, red first."""
+        """Images. (N, H, W, 3) uint8 RGB."""
         return self.snapshot().images
 
     @property
     def stamps(self) -> np.ndarray:
-        """(N,) float64, times in seconds."""
+        """Times in seconds. (N,) float64."""
         return self.snapshot().stamps
 
     def __len__(self) -> int:
         return self._count
 
     def close(self) -> None:
-        """Close the file and give its lock back; the arrays stay."""
+        """Close the file and release its lock; the arrays stay valid."""
         with self._appending:
             self._writable = False
             self._file.close()
@@ -156,11 +176,11 @@ class ObservationStore:
 
     def _load(self) -> None:
         for record in self._file.read():
-            self._remember(float(record["stamp"]), record["state"], record["image"])
+            self._add(float(record["stamp"]), record["state"], record["image"])
         if self._writable:
             self._file.cut_after(self._count)
 
-    def _remember(self, stamp: float, state: np.ndarray, image: np.ndarray) -> None:
+    def _add(self, stamp: float, state: np.ndarray, image: np.ndarray) -> None:
         if self._count == len(self._arrays.stamps):
             larger = _allocate(self.layout, 2 * self._count)
             for new, old in zip(larger, self._arrays):
@@ -170,7 +190,7 @@ class ObservationStore:
         self._arrays.raw_states[self._count] = state
         self._arrays.images[self._count] = image
         self._arrays.stamps[self._count] = stamp
-        self._count += 1  # last: a reading thread takes what the count covers
+        self._count += 1  # last, because other threads read up to the count
 
     def _check(self, stamp: float, state: np.ndarray, image: np.ndarray) -> None:
         shape = self.layout.image_shape
@@ -179,22 +199,22 @@ class ObservationStore:
             raise ObservationError(f"image is {found}, expected uint8 {shape}: check camera/height and camera/width")
         names = self.layout.state_names
         if state.shape != (len(names),):
-            raise ObservationError(f"state has shape {state.shape}, expected ({len(names)},): give {', '.join(names)}")
+            raise ObservationError(f"state has shape {state.shape}, expected ({len(names)},): {', '.join(names)}")
         if not (np.all(np.isfinite(state)) and np.isfinite(stamp)):
             raise ObservationError(f"state {state.tolist()} at {stamp} s is not finite: check tf and the arm")
 
     def _check_repeated(self, index: int, stamp: float, state: np.ndarray, image: np.ndarray) -> None:
         if not 0 <= index < self._count:
-            raise ObservationError(f"observation {index} was handed over, but {self._count} is next: send that one")
+            raise ObservationError(f"observation {index} received, expected {self._count}: send that one")
         same = stamp == self._arrays.stamps[index] and np.array_equal(state, self._arrays.raw_states[index])
         if not (same and np.array_equal(image, self._arrays.images[index])):
             raise ObservationError(
-                f"observation {index} is stored with other content: go on with number {self._count}, which is next"
+                f"observation {index} is stored with other content: continue with number {self._count}"
             )
 
 
 def _allocate(layout: RecordLayout, capacity: int) -> Observations:
-    """Memory that the kernel hands out only as it is filled."""
+    """Allocate arrays; the kernel provides the memory as they are filled."""
     dimensions = len(layout.state_names)
     return Observations(
         states=np.empty((capacity, dimensions), np.float32),
@@ -205,7 +225,7 @@ def _allocate(layout: RecordLayout, capacity: int) -> Observations:
 
 
 def _own_layout(folder: Path, image_shape: Tuple[int, ...]) -> RecordLayout:
-    """The layout of a store that is to be written; a new store gets its files here."""
+    """Return the layout of a store for writing; create the files of a new one."""
     path, data = folder / LAYOUT_FILE, folder / DATA_FILE
     if not os.path.lexists(path) and not os.path.lexists(data):
         make_folder(folder)
@@ -218,6 +238,6 @@ def _own_layout(folder: Path, image_shape: Tuple[int, ...]) -> RecordLayout:
 def _check_shape(path: Path, layout: RecordLayout, image_shape: Tuple[int, ...]) -> None:
     if layout.image_shape != image_shape:
         raise ObservationError(
-            f"{path}: image_shape is {list(layout.image_shape)}, but the camera gives {list(image_shape)}: "
-            "set camera/height and camera/width back, or choose another session"
+            f"{path}: image_shape is {list(layout.image_shape)}, but the camera is configured for {list(image_shape)}: "
+            "restore camera/height and camera/width, or choose another session"
         )

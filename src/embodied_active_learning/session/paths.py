@@ -1,4 +1,4 @@
-"""Where each part of a session is stored below its folder."""
+"""Paths of the parts of a session."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ BAGS_FOLDER = "bags"
 
 
 def stays_inside(folder: Path, path: Path) -> Path:
-    """The path, if no symbolic link on its way leads out of the folder. Raises SessionError that says where to."""
+    """Return the path. Raises SessionError if a symbolic link leads out of the folder."""
     real = os.path.realpath(path)
     if os.path.commonpath((os.path.realpath(folder), real)) != os.path.realpath(folder):
-        raise SessionError(f"{path} leads out of {folder}, to {real}: put what is meant there in place of the link")
+        raise SessionError(f"{path} leads out of {folder}, to {real}: replace the link by what it refers to")
     return path
 
 
 class SessionPaths:
-    """Where the parts of a session lie below its folder."""
+    """Paths of the parts of a session folder."""
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -40,12 +40,12 @@ class SessionPaths:
         self.lock = self.path / LOCK_FILE
 
     def check_links(self) -> None:
-        """Raise SessionError when a folder of the session is a link that leads out of it; files are never links."""
+        """Raise SessionError if a subfolder is a link out of the session. Files are checked when they are opened."""
         for part in (
             self.observations, self.checkpoints, self.fingerprints, self.identification, self.figures, self.bags,
         ):  # fmt: skip
             stays_inside(self.path, part)
 
     def table(self, name: str) -> Path:
-        """The file of a table: exploration, training or evaluation."""
+        """Return the file of a table: exploration, training or evaluation."""
         return self.path / f"{name}.csv"

@@ -1,4 +1,4 @@
-"""What the planner knows when it hands over an observation, so that another one can go on as if it were the same."""
+"""planner.safetensors: the state of the planner with its newest observation, from which it resumes exactly."""
 
 from __future__ import annotations
 
@@ -11,47 +11,52 @@ import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.files import FileReader
+from embodied_active_learning.schema import build, required
 from embodied_active_learning.session.array_files import read_arrays, write_arrays
 
 _KIND = "planner"
 _RUN = "run/"
-_OWN = ("state", "velocity")
-_REMEDY = "delete it; the planner then goes on from the stored observations, with other random draws"
+_ARRAYS = ("state", "velocity")
+_REMEDY = "delete it; the planner then resumes from the stored observations, with other random draws"
 _READER = FileReader(CorruptFileError, _REMEDY, limit=2**30)
 
 
 @dataclass(frozen=True)
 class PlannerState:
-    """A planner with an observation in its hands: nobody can tell yet whether the trainer has stored it."""
+    """The planner's state just before it sends an observation; the trainer may or may not have stored it."""
 
     index: int  # of the observation, from 0
-    stamp: Tuple[int, int]  # s, ns: when it was taken
-    state: np.ndarray  # (3,) m, m, rad: where
+    stamp: Tuple[int, int]  # s, ns: time of the observation
+    state: np.ndarray  # (3,) m, m, rad
     velocity: np.ndarray  # (3,) m/s, m/s, rad/s
-    run: Dict[str, np.ndarray]  # the exploration's memory before it
+    run: Dict[str, np.ndarray]  # state_dict of the exploration before the observation
 
 
-def save_memory(path: Path, memory: PlannerState) -> None:
-    """Write a memory in place of the one before. Raises SessionError when the disk fails."""
-    arrays = {name: np.asarray(getattr(memory, name), dtype=np.float64) for name in _OWN}
-    arrays.update({f"{_RUN}{name}": array for name, array in memory.run.items()})
-    write_arrays(path, _KIND, arrays, {"index": memory.index, "stamp": list(memory.stamp)})
+@dataclass(frozen=True)
+class _Facts:
+    """The facts of the file."""
+
+    index: int = required("observation", low=0)
+    stamp: Tuple[int, ...] = required("seconds and nanoseconds", low=0, length=2)
 
 
-def load_memory(path: Path) -> Optional[PlannerState]:
-    """The memory that was written last; None when there is none. Raises CorruptFileError naming file and field."""
+def save_planner_state(path: Path, planner: PlannerState) -> None:
+    """Replace the stored state. Raises SessionError if the disk fails."""
+    arrays: Dict[str, np.ndarray] = {name: np.asarray(getattr(planner, name), dtype=np.float64) for name in _ARRAYS}
+    arrays.update({f"{_RUN}{name}": array for name, array in planner.run.items()})
+    write_arrays(path, _KIND, arrays, {"index": planner.index, "stamp": list(planner.stamp)})
+
+
+def load_planner_state(path: Path) -> Optional[PlannerState]:
+    """Return the stored state; None if there is none. Raises CorruptFileError naming file and field."""
     if not os.path.lexists(path):
         return None
-    arrays, facts = read_arrays(path, _KIND, _READER)
-    for name in _OWN:
+    arrays, stored = read_arrays(path, _KIND, _READER)
+    for name in _ARRAYS:
         array = arrays.get(name)
-        legal = array is not None and array.dtype == np.float64 and np.all(np.isfinite(array))
-        if not legal or array.shape != (3,):
-            raise CorruptFileError(f"{path}: {name} is not finite numbers of the right shape: {_REMEDY}")
-    index, stamp = facts.get("index"), facts.get("stamp")
-    if type(index) is not int or index < 0:
-        raise CorruptFileError(f"{path}: index is {index!r}, expected a number from 0: {_REMEDY}")
-    if not (isinstance(stamp, list) and len(stamp) == 2 and all(type(part) is int and part >= 0 for part in stamp)):
-        raise CorruptFileError(f"{path}: stamp is {stamp!r}, expected seconds and nanoseconds: {_REMEDY}")
+        if array is None or array.dtype != np.float64 or array.shape != (3,) or not np.all(np.isfinite(array)):
+            raise _READER.refuse(f"{path}:", f"{name} is missing, not finite, or of the wrong shape")
+    facts = build(_Facts, stored, path, CorruptFileError, _REMEDY)
     run = {name[len(_RUN) :]: array for name, array in arrays.items() if name.startswith(_RUN)}
-    return PlannerState(index, (stamp[0], stamp[1]), arrays["state"], arrays["velocity"], run)
+    seconds, nanoseconds = facts.stamp
+    return PlannerState(facts.index, (seconds, nanoseconds), arrays["state"], arrays["velocity"], run)

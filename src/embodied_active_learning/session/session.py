@@ -1,4 +1,4 @@
-"""One run = one folder. Who writes it holds its lock; whoever reads it needs none."""
+"""The session: one folder per run. Its writer holds the lock; readers need none."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from embodied_active_learning.config import RECORDED, Config
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.session import lock
-from embodied_active_learning.session.atomic import is_leftover, make_folder, remove_file, remove_leftovers
+from embodied_active_learning.session.atomic import is_leftover, make_folder, remove_leftovers
 from embodied_active_learning.session.description import (
     changed_keys,
     is_description,
@@ -28,14 +28,20 @@ from embodied_active_learning.session.paths import (
     SessionPaths,
     stays_inside,
 )
+from embodied_active_learning.session.summary import reopen_summary
 from embodied_active_learning.session.tables import COLUMNS, Table, read_table
 
 _LARGEST_HINT = 4096
-_MOST_LISTED = 20  # sessions that a message names
+_MOST_LISTED = 20  # sessions in a message
 
 
 class Session:
-    """The folder of one run: `paths` says where things lie, `config` what was configured."""
+    """The folder of one run.
+
+    Attributes:
+        paths: Paths of its parts.
+        config: Configuration of the run.
+    """
 
     def __init__(self, path: Path, config: Config, held: Optional[BinaryIO] = None) -> None:
         self.paths = SessionPaths(path)
@@ -44,17 +50,18 @@ class Session:
 
     @classmethod
     def open_for_writing(cls, config: Config) -> Session:
-        """Create the session of config.session, or continue it when session/resume is set, and hold its lock.
+        """Create the session of config.session, or continue it if session/resume is set, and lock it.
 
-        Raises SessionError as check_session does.
+        Raises:
+            SessionError: Like check_session.
         """
         path = check_session(config)
         make_folder(path)
         held = lock.acquire(path / LOCK_FILE)
         try:
-            _check_folder(path, config)  # again, now that nobody else can change it
+            _check_folder(path, config)  # again, now that no other process can change it
             remove_leftovers(path)
-            remove_file(path / SUMMARY_FILE)  # a run that goes on is not finished
+            reopen_summary(path / SUMMARY_FILE, config)
             write_description(path / CONFIG_FILE, config)
         except BaseException:
             held.close()
@@ -63,25 +70,27 @@ class Session:
 
     @classmethod
     def open_read_only(cls, path: Path) -> Session:
-        """A session to look at, also while it runs. Raises CorruptFileError when the folder is none.
+        """Open a session for reading, also while it runs.
 
-        Raises SessionError when a part of it is a link that leads out of it.
+        Raises:
+            CorruptFileError: The folder is not a session.
+            SessionError: A part of it is a link out of the folder.
         """
         SessionPaths(path).check_links()
         return cls(Path(path), read_description(Path(path) / CONFIG_FILE))
 
     @property
     def name(self) -> str:
-        """The name of the session: that of its folder."""
+        """Name of the session and its folder."""
         return self.paths.path.name
 
     @property
     def writable(self) -> bool:
-        """Whether this process holds the session."""
+        """Whether this process has opened the session for writing."""
         return self._held is not None
 
     def open_observations(self) -> ObservationStore:
-        """The observation store, for writing when the session is."""
+        """Open the observation store, for writing if the session is writable."""
         workspace, camera = self.config.workspace.box(), self.config.camera
         shape = (camera.height, camera.width, 3)
         if not self.writable:
@@ -90,18 +99,18 @@ class Session:
         return ObservationStore.open_for_writing(self.paths.observations, workspace, shape, capacity)
 
     def open_table(self, name: str) -> Table:
-        """A table to append to: exploration, training or evaluation.
+        """Open a table to append to: exploration, training or evaluation.
 
-        Each table locks itself, so that another process than the session's holder may keep one.
+        Each table has its own lock, so that planner and trainer can write different ones.
         """
         return Table(self.paths.table(name), COLUMNS[name])
 
     def read_table(self, name: str) -> Dict[str, np.ndarray]:
-        """The columns of a table, (N,) float64 each; N is 0 when nothing was written."""
+        """Return the columns of a table, (N,) float64 each; N is 0 before the first row."""
         return read_table(self.paths.table(name), COLUMNS[name])
 
     def close(self) -> None:
-        """Give the session's lock back."""
+        """Release the session's lock."""
         if self._held is not None:
             self._held.close()
             self._held = None
@@ -114,44 +123,50 @@ class Session:
 
 
 def session_path(config: Config) -> Path:
-    """The folder of the configured session. Raises SessionError for a name or a root that is not allowed."""
+    """Return the folder of the configured session. Raises SessionError for an invalid name or root."""
     return session_root(config) / check_name(config.session.name)
 
 
 def session_root(config: Config) -> Path:
-    """The folder that holds the sessions, absolute. Raises SessionError for one that cannot be."""
+    """Return the absolute folder of all sessions. Raises SessionError if it is invalid."""
     root = os.path.expanduser(config.session.root)
     if root.startswith("~") or "\0" in root:
-        raise SessionError(f"session/root is {config.session.root!r}, and no such folder can be: give another one")
+        raise SessionError(f"session/root is {config.session.root!r}, which is not a valid folder: choose another one")
     return Path(os.path.abspath(root))
 
 
 def find_session(root: Path, name: str, subject: str = "session") -> Path:
-    """The folder of a stored session that was asked for by name.
+    """Return the folder of a stored session.
 
-    Raises SessionError for a name that is not allowed or that leads out of root through a link, and for one that there
-    is not, with those that there are; subject says what the name was given as.
+    Args:
+        root: Folder of all sessions.
+        name: Name of the session.
+        subject: Origin of the name for messages.
+
+    Raises:
+        SessionError: The name is invalid, a link out of root, or unknown; lists the known sessions.
     """
     path = root / check_name(name, subject)
     stays_inside(root, path)
     if not path.is_dir():
         known = ", ".join(found.name for found in list_sessions(root)[:_MOST_LISTED]) or "none"
-        raise SessionError(f"{subject} is {name!r}, and there is none of that name in {root}; there are: {known}")
+        raise SessionError(f"{subject} is {name!r}, but there is no such session in {root}: known are {known}")
     return path
 
 
 def check_session(config: Config) -> Path:
-    """Check that the configured session can be opened for writing, and create nothing. -> its folder.
+    """Check that the configured session can be opened for writing, without creating anything. Return its folder.
 
-    Raises SessionError when its name is not allowed, its folder is not ours, it is in use, exists already (without
-    session/resume), does not exist (with it), differs in what its data depends on, or when the disk is too small.
+    Raises:
+        SessionError: Invalid name; not a session folder; in use; exists already (without session/resume) or does not
+            exist (with it); stored with settings that must not change; or the disk is too small.
     """
     path = session_path(config)
     try:
         _check_folder(path, config)
-        who = lock.holder(path / LOCK_FILE)
-        if who is not None:
-            raise SessionError(lock.in_use(path, who))
+        holder = lock.holder(path / LOCK_FILE)
+        if holder is not None:
+            raise SessionError(lock.in_use(path, holder))
         check_space(path, config, bytes_below(path))
     except OSError as error:
         raise SessionError(f"{path} cannot be used ({error.strerror}): choose another session/root") from error
@@ -159,7 +174,7 @@ def check_session(config: Config) -> Path:
 
 
 def list_sessions(root: Path) -> List[Path]:
-    """The folders below root that are sessions, by name."""
+    """Return the session folders below root, sorted by name."""
     return sorted(path.parent for path in Path(root).glob(f"*/{CONFIG_FILE}") if is_description(path))
 
 
@@ -168,28 +183,30 @@ def _check_folder(path: Path, config: Config) -> None:
         _check_existing(path, config)
     elif config.session.resume:
         known = ", ".join(found.name for found in list_sessions(path.parent)[:_MOST_LISTED]) or "none"
-        raise SessionError(f"there is no session {path} to resume; in that folder there are: {known}")
+        raise SessionError(f"no session {path} to resume: known are {known}")
 
 
 def _check_existing(path: Path, config: Config) -> None:
     if path.is_symlink() or not (path / CONFIG_FILE).is_file():
-        raise SessionError(f"{path} exists but is no session of this package: choose another session/name")
+        raise SessionError(f"{path} exists but is not a session: choose another session/name")
     SessionPaths(path).check_links()
     stored = read_description(path / CONFIG_FILE)
     if not config.session.resume:
         raise SessionError(f"session {path} exists: choose another session/name, or set session/resume to continue it")
     if stored.arm.robot == RECORDED != config.arm.robot:
         raise SessionError(
-            f"session {path} was learned from a recording, so no arm can go on with it: replay.launch resume:=true "
-            "can; fingerprint.launch takes views_from:=stored"
+            f"session {path} was learned from a recording, so an arm cannot continue it: use replay.launch "
+            "resume:=true, and fingerprint.launch views_from:=stored"
         )
     changes = changed_keys(stored, config)
     if changes:
-        raise SessionError(f"session {path} cannot be continued: {'; '.join(changes)}: set it back, or start a new one")
+        raise SessionError(
+            f"session {path} cannot be continued: {'; '.join(changes)}; restore these settings, or start a new session"
+        )
 
 
 def _is_new(path: Path) -> bool:
-    """Whether there is nothing at the path, or only what a process left that was killed while it created a session."""
+    """Return whether the path is free, or has only leftovers of a process killed while creating a session."""
     if not path.is_dir() or path.is_symlink():
         return not (path.exists() or path.is_symlink())
     return all(entry.name == LOCK_FILE or is_leftover(entry.name) for entry in path.iterdir())

@@ -1,4 +1,4 @@
-"""The CSV tables of a run: one row as things happen, cut back on resume, readable while they grow."""
+"""The CSV tables of a run: appended row by row, truncated on resume, readable at any time."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import FileReader, open_plain, shown
+from embodied_active_learning.schema import to_plain
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import write_bytes
 
@@ -38,7 +39,7 @@ COLUMNS: Dict[str, Tuple[str, ...]] = {
 
 
 class Table:
-    """A CSV file of numbers that is appended to. One writer, which holds the file's lock."""
+    """A CSV file of numbers to append to. Its writer holds the file's lock."""
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         self.path = Path(path)
@@ -46,18 +47,22 @@ class Table:
         self._open()
 
     def append(self, row: Any) -> None:
-        """Write one row at once: a mapping or a dataclass of numbers. A column that it lacks becomes NaN.
+        """Write one row immediately.
 
-        Raises SessionError when it has one that does not exist, or when the disk fails.
+        Args:
+            row: A mapping or a dataclass of numbers; missing columns become NaN.
+
+        Raises:
+            SessionError: The row has an unknown column, or the disk failed.
         """
-        values = dataclasses.asdict(row) if dataclasses.is_dataclass(row) else dict(row)
+        values: Dict[str, Any] = to_plain(row) if dataclasses.is_dataclass(row) else dict(row)
         unknown = [name for name in values if name not in self.columns]
         if unknown:
-            raise SessionError(f"{self.path} has no column {unknown[0]}: there are {', '.join(self.columns)}")
+            raise SessionError(f"{self.path} has no column {unknown[0]}: the columns are {', '.join(self.columns)}")
         self._write(",".join(_text(values.get(name)) for name in self.columns))
 
     def truncate_after(self, column: str, value: float) -> None:
-        """Drop the rows whose column is larger than value: they came after the point a run goes on from."""
+        """Delete the rows with a larger value in a column: they were written after the state that is resumed."""
         rows = _rows(self.path, _READER.read_bytes(self.path), self.columns)
         kept = [row for row in rows if _number(row[self.columns.index(column)]) <= value]
         self.close()
@@ -65,7 +70,7 @@ class Table:
         self._open()
 
     def close(self) -> None:
-        """Close the file and give its lock back."""
+        """Close the file and release its lock."""
         self._stream.close()
 
     def __enter__(self) -> Table:
@@ -75,11 +80,11 @@ class Table:
         self.close()
 
     def _open(self) -> None:
-        """Open the file behind its last whole row."""
+        """Open the file after its last complete row."""
         try:
             self._stream = open_plain(self.path, "r+b")
         except OSError as error:
-            raise SessionError(f"{self.path} cannot be written ({error.strerror}): see to the disk") from error
+            raise SessionError(f"{self.path} cannot be written ({error.strerror}): check the disk") from error
         try:
             lock.claim(self._stream, self.path)
             content = _READER.read_bytes(self.path)
@@ -98,31 +103,34 @@ class Table:
             if self._stream.write(content) < len(content):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
-            self._cut(end)  # half a row would be glued to the next one
-            raise SessionError(f"{self.path} cannot be written ({error.strerror}): free some disk space") from error
+            self._cut(end)  # otherwise the next row would be appended to half a row
+            raise SessionError(f"{self.path} cannot be written ({error.strerror}): free disk space") from error
 
     def _cut(self, size: int) -> None:
-        """Go on behind the first bytes, and drop the others."""
+        """Truncate the file to a size and continue there."""
         try:
             self._stream.truncate(size)
         except OSError as error:
-            raise SessionError(f"{self.path} cannot be written ({error.strerror}): see to the disk") from error
+            raise SessionError(f"{self.path} cannot be written ({error.strerror}): check the disk") from error
         self._stream.seek(size)
 
 
 def read_table(path: Path, columns: Sequence[str]) -> Dict[str, np.ndarray]:
-    """Each column as (N,) float64. A last line that is not complete is left out; no file is an empty table.
+    """Return each column as (N,) float64. An incomplete last line is ignored; a missing file is an empty table.
 
-    Raises CorruptFileError naming the file and the line.
+    Raises:
+        CorruptFileError: Names the file and the line.
     """
     path = Path(path)
     rows = _rows(path, _READER.read_bytes(path), columns) if os.path.lexists(path) else []
-    values = np.array([[_number(text) for text in row] for row in rows], dtype=np.float64).reshape(-1, len(columns))
+    values: np.ndarray = np.array([[_number(text) for text in row] for row in rows], dtype=np.float64).reshape(
+        -1, len(columns)
+    )
     return {name: values[:, index] for index, name in enumerate(columns)}
 
 
 def _check_header(path: Path, content: bytes, columns: Sequence[str]) -> None:
-    """Refuse what does not begin as the table does: a file of somebody else is not cut off and written on."""
+    """Check the header, so that no other file is truncated or appended to."""
     header = (",".join(columns) + "\n").encode("utf-8")
     if content[: len(header)] != header[: len(content)]:
         found = content[: len(header)].decode("utf-8", "replace").split("\n")[0].split(",")
@@ -130,13 +138,13 @@ def _check_header(path: Path, content: bytes, columns: Sequence[str]) -> None:
 
 
 def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]:
-    """The texts of every whole row after the header."""
+    """Return the texts of every complete row after the header."""
     _check_header(path, content, columns)
     text = content.decode("utf-8", "replace")
     try:
         lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
     except csv.Error as error:
-        raise _READER.refuse(path, f"is no table ({error})") from error
+        raise _READER.refuse(path, f"is not a CSV table ({error})") from error
     if not lines:
         return []
     for number, line in enumerate(lines[1:], start=2):
@@ -148,7 +156,7 @@ def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]
 
 
 def _text(value: Any) -> str:
-    """A number as the shortest text that reads back as the same number."""
+    """Return the shortest text that is parsed as the same number."""
     if value is None:
         return ""
     return str(int(value)) if isinstance(value, (int, np.integer)) else repr(float(value))

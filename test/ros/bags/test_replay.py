@@ -19,8 +19,8 @@ from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.ros.conversions import image_array, state_arrays
 from embodied_active_learning.session.fingerprints import load_fingerprints
-from embodied_active_learning.session.newest_model import load_newest_model
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.simulation.truth import true_objects
 from launching import ROOT, launch_to_the_end, launched, pid_of
@@ -81,7 +81,7 @@ def test_it_ends_with_the_weights_that_the_bags_observations_give(replayed, home
     finally:
         run.close()
         torch.set_num_threads(threads)
-    found, alone = (load_newest_model(Session.open_read_only(folder)) for folder in (path, home / "alone"))
+    found, alone = (load_session_model(Session.open_read_only(folder)) for folder in (path, home / "alone"))
     assert found.updates == alone.updates == OBSERVATIONS, output
     assert all(torch.equal(found.weights[name], weight) for name, weight in alone.weights.items())
 

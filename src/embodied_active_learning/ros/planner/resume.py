@@ -14,7 +14,7 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.pipeline.exploration import ExplorationRun
 from embodied_active_learning.ros.conversions import state_arrays, state_message
 from embodied_active_learning.session.paths import SessionPaths
-from embodied_active_learning.session.planner_state import PlannerState, load_memory, save_memory
+from embodied_active_learning.session.planner_state import PlannerState, load_planner_state, save_planner_state
 
 
 class Recalled(NamedTuple):
@@ -39,7 +39,8 @@ class PlannerResume:
         """
         stamp = state.header.stamp
         pose, velocity = state_arrays(state)
-        save_memory(self._path, PlannerState(run.step, (stamp.secs, stamp.nsecs), pose, velocity, run.state_dict()))
+        planner = PlannerState(run.step, (stamp.secs, stamp.nsecs), pose, velocity, run.state_dict())
+        save_planner_state(self._path, planner)
 
     def recall(self, trajectory: np.ndarray) -> Optional[Recalled]:
         """What was written down last, after a trajectory (N, 3) of stored observations; None for a run that begins.
@@ -48,7 +49,7 @@ class PlannerResume:
         """
         stored = len(trajectory)
         try:
-            memory = load_memory(self._path)
+            memory = load_planner_state(self._path)
             if memory is None and not stored:
                 return None
             if memory is None or memory.index not in (stored - 1, stored):
