@@ -40,7 +40,7 @@ class ArmServer(ABC):
         persistent_parameters.store(names.STOPPED_BY, lambda: self.arbiter.stopped_by)
         self._limited = 0
 
-    def offer_services(self) -> None:
+    def advertise_services(self) -> None:
         """Offer the services once the arm is set up, and start watchdog and diagnostics."""
         advertise_service(names.ARM_MOVE, MoveArm, self.handle_move, cause_fields)
         advertise_service(names.ARM_GO_TO, GoToPose, self.handle_go_to, cause_fields)
