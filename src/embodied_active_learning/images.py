@@ -46,7 +46,7 @@ _LAYOUTS: Dict[str, _Layout] = {
 ENCODINGS = tuple(_LAYOUTS)
 """Encodings of raw pictures that can be decoded, by the names of sensor_msgs/Image."""
 
-_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8\xff", b"\xff\xda", b"\xff\xd9"
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # markers of the segment that has the size
 _JPEG_ALONE = frozenset((0x01, *range(0xD0, 0xD8)))  # markers without a segment
 _PNG_START = b"\x89PNG\r\n\x1a\n"
@@ -88,16 +88,10 @@ def decode_compressed(data: bytes) -> np.ndarray:
     """
     if len(data) > LARGEST_DATA:
         raise ObservationError(f"compressed image has {len(data)} bytes: at most {LARGEST_DATA} are taken")
-    size_of = next((size_of for start, size_of in _SIZE_OF.items() if data.startswith(start)), None)
-    if size_of is None:
-        raise ObservationError(
-            f"compressed image begins with {data[:4].hex(' ') or 'nothing'}: it can be JPEG or PNG; set it in the "
-            "camera's driver or in image_transport"
-        )
     try:
-        height, width = size_of(data)
+        height, width = encoded_size(data)
     except ValueError as error:
-        raise ObservationError(f"compressed image is damaged, {error}: {_REMEDY}") from None
+        raise ObservationError(f"compressed image {error}: {_REMEDY}") from None
     _check_size(height, width)
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -106,6 +100,20 @@ def decode_compressed(data: bytes) -> np.ndarray:
     if picture is None or picture.shape != (height, width, 3):
         raise ObservationError(f"compressed image is damaged, its content cannot be decoded: {_REMEDY}")
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def encoded_size(data: bytes) -> Tuple[int, int]:
+    """Return height and width of a JPEG or PNG file from its header, without decoding it.
+
+    Raises ValueError for another format, or an incomplete or damaged file.
+    """
+    size_of = next((size_of for start, size_of in _SIZE_OF.items() if data.startswith(start)), None)
+    if size_of is None:
+        raise ValueError(f"begins with {data[:4].hex(' ') or 'nothing'}: it can be JPEG or PNG")
+    try:
+        return size_of(data)
+    except ValueError as error:
+        raise ValueError(f"is damaged, {error}") from None
 
 
 class Framing(NamedTuple):
@@ -170,7 +178,7 @@ def _jpeg_size(data: bytes) -> Tuple[int, int]:
 
     Some cameras fill its end up with zeros.
     """
-    if not data.rstrip(b"\0").endswith(_JPEG_END):
+    if data.rfind(_JPEG_END) < data.rfind(_JPEG_SCAN):  # neither marker occurs inside compressed data
         raise ValueError("its end is missing")
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:

@@ -135,7 +135,7 @@ def _arm_states(path: Path) -> Any:
 
 def _write_files_of_people(folder: Path) -> None:
     folder.mkdir()
-    mesh = "".join(f"v {x} {y} {z}\n" for x in (0, 0.01) for y in (0, 0.01) for z in (0, 0.01)) + "f 1 2 3\n"
+    mesh = "".join(f"v {x} {y} {z}\n" for x in (0, 0.01) for y in (0, 0.01) for z in (0, 0.01)) + "f 2 6 8\n"
     (folder / "thing.obj").write_text(mesh)
     visual = '<visual><geometry><mesh filename="thing.obj"/></geometry></visual>'
     (folder / "thing.urdf").write_text(f'<robot name="a"><link name="a">{visual}</link></robot>\n')

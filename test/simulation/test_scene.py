@@ -1,4 +1,4 @@
-"""The simulated camera sees what stands on the table, where it stands, and how it is turned."""
+"""Scene: the simulated camera sees objects where they stand, with their rotation and colour."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POSES = [(0.475, 0.0, 0.0), (0.47, 0.01, 1.3), (0.49, -0.02, -2.0), (0.46, 0.015
 
 @pytest.fixture
 def scene(tmp_path):
-    """Builds scenes from YAML text, with a red disc's URDF (12 mm across, flat) beside it."""
+    """Build scenes from YAML text; the URDF of a red disc (12 mm across, flat) is next to it."""
     angles = 2.0 * np.pi * np.arange(48) / 48
     rim = [f"v {0.006 * math.cos(angle):.7f} {0.006 * math.sin(angle):.7f} 0" for angle in angles]
     faces = [f"f 1//1 {2 + i}//1 {2 + (i + 1) % 48}//1" for i in range(48)]
@@ -46,7 +46,7 @@ def scene(tmp_path):
 
 
 def discs(*places):
-    """A blue table with red discs at places (x, y, height)."""
+    """Return a blue table with red discs at (x, y, height)."""
     lines = [f"  d{i}: {{urdf: disc.urdf, position: [{x}, {y}], height: {z}}}" for i, (x, y, z) in enumerate(places)]
     return "\n".join(["table: {colour: [0, 0, 1]}", "objects:", *lines])
 
@@ -56,13 +56,13 @@ def reddish(image):
 
 
 def centre_of(weights):
-    """(u, v) of a mask, or of the mass of an image (H, W)."""
+    """Return the centroid (u, v) of a mask or image (H, W)."""
     rows, columns = np.indices(weights.shape)
     return np.array([(columns * weights).sum(), (rows * weights).sum()]) / weights.sum()
 
 
 def project(scene, pose, point, height=0.3):
-    """(u, v) of a point (3,) in the base frame."""
+    """Return the pixel (u, v) of a point (3,) in the base frame."""
     in_camera = optical_rotation(pose[2]).T @ (np.asarray(point) - [pose[0], pose[1], height])
     pixel = scene.intrinsics() @ in_camera
     return pixel[:2] / pixel[2]
@@ -70,7 +70,7 @@ def project(scene, pose, point, height=0.3):
 
 @pytest.mark.parametrize("size", [(180, 180), (201, 120)])
 @pytest.mark.parametrize("pose", POSES)
-def test_an_object_is_where_the_camera_matrix_projects_it_to_a_fifth_of_a_pixel(scene, size, pose):
+def test_object_is_rendered_where_camera_matrix_projects_it(scene, size, pose):
     width, height = size
     for place in ((0.475, 0.0, 0.0), (0.493, -0.011, 0.05), (0.462, 0.017, 0.02)):
         view = scene(discs(place), width=width, height=height)
@@ -79,7 +79,7 @@ def test_an_object_is_where_the_camera_matrix_projects_it_to_a_fifth_of_a_pixel(
         np.testing.assert_allclose(centre_of(mask), project(view, pose, place), atol=0.2)
 
 
-def test_at_yaw_zero_image_right_is_plus_x_and_image_up_is_plus_y(scene):
+def test_image_axes_at_yaw_zero(scene):
     view = scene(discs((0.505, 0.0, 0.0), (0.475, 0.045, 0.0)))
     mask = reddish(view.render((0.475, 0.0, 0.0)))
     assert mask[80:100, 115:130].any()
@@ -88,14 +88,14 @@ def test_at_yaw_zero_image_right_is_plus_x_and_image_up_is_plus_y(scene):
     assert not mask[100:].any()
 
 
-def test_turning_the_camera_to_the_left_turns_the_image_to_the_right(scene):
+def test_camera_yaw_rotates_image_the_other_way(scene):
     view = scene(discs((0.505, 0.0, 0.0)))
     u, v = centre_of(reddish(view.render((0.475, 0.0, math.pi / 2))))
     assert u == pytest.approx(89.5, abs=0.3)
     assert v > 120
 
 
-def test_the_tables_texture_is_where_the_camera_matrix_projects_it(scene, tmp_path):
+def test_table_texture_is_where_camera_matrix_projects_it(scene, tmp_path):
     texture = np.zeros((400, 500, 3), dtype=np.uint8)
     texture[:, :, 0] = 255  # OpenCV's blue
     texture[190:200, 260:270] = (0, 0, 255)
@@ -107,7 +107,7 @@ def test_the_tables_texture_is_where_the_camera_matrix_projects_it(scene, tmp_pa
         np.testing.assert_allclose(centre_of(red), project(view, pose, point), atol=0.05)
 
 
-def test_beyond_the_table_is_the_floor(scene):
+def test_floor_is_visible_beyond_table(scene):
     view = scene("table: {colour: [0, 0, 1], size: [0.1, 0.1]}")
     image = view.render((0.475, 0.0, 0.0))
     assert tuple(image[90, 90]) == (0, 0, 255)
@@ -116,7 +116,7 @@ def test_beyond_the_table_is_the_floor(scene):
 
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 2, math.pi])
 @pytest.mark.parametrize("kind", ["duck", "plant", "star"])
-def test_position_is_where_the_centre_of_the_mesh_comes_to_lie(scene, kind, yaw):
+def test_position_is_centre_of_mesh(scene, kind, yaw):
     address = f"package://embodied_active_learning/worlds/models/{kind}/{kind}.urdf"
     view = scene(
         f"table: {{colour: [0, 0, 1]}}\nobjects: {{a: {{urdf: '{address}', position: [0.49, 0.02], yaw: {yaw}}}}}"
@@ -124,14 +124,14 @@ def test_position_is_where_the_centre_of_the_mesh_comes_to_lie(scene, kind, yaw)
     image = view.top_view(CENTRE, 0.3, 600)
     rows, columns = np.nonzero(np.any(image != (0, 0, 255), axis=2))
     middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2.0
-    # Half a millimetre a pixel; what stands 8 cm high looks 4 % larger from 2 m.
+    # Half a millimetre per pixel; an object 8 cm high looks 4 % larger from 2 m.
     np.testing.assert_allclose(middle, [299.5 + 30.0, 299.5 - 40.0], atol=5.0)
     size = np.array([np.ptp(columns), np.ptp(rows)]) * 0.5e-3
     expected = view.objects[0].extent[:2] if yaw != math.pi / 2 else view.objects[0].extent[1::-1]
     np.testing.assert_allclose(size, expected, rtol=0.06)
 
 
-def test_truth_lists_every_object_as_the_world_places_it():
+def test_true_objects_match_world():
     world = load_world("star_plant_duck", WORKSPACE)
     view = Scene(world, CameraConfig())
     assert [(item.name, item.kind, item.centre, item.yaw) for item in view.objects] == [
@@ -140,7 +140,7 @@ def test_truth_lists_every_object_as_the_world_places_it():
     view.close()
 
 
-def test_objects_have_their_colours():
+def test_shipped_objects_have_their_colours():
     view = Scene(load_world("star_plant_duck", WORKSPACE), CameraConfig())
     for item in view.objects:
         image = view.render((*item.centre, 0.0))
@@ -158,7 +158,7 @@ def test_objects_have_their_colours():
 
 
 @pytest.mark.parametrize("name", ["star_plant_duck", "right"])
-def test_every_object_looks_different_when_it_is_turned(name):
+def test_rotated_objects_look_different(name):
     view = Scene(load_world(name, WORKSPACE), CameraConfig())
     for item in view.objects:
         looks = [view.render((*item.centre, 0.4 * math.pi * turn)).astype(float) for turn in range(5)]
@@ -167,14 +167,14 @@ def test_every_object_looks_different_when_it_is_turned(name):
     view.close()
 
 
-def test_a_colour_in_the_world_file_tints_the_object(scene):
+def test_colour_in_world_file_is_applied(scene):
     text = discs((0.475, 0.0, 0.0)).replace("height:", "colour: [0, 1, 0], height:")
     image = scene(text).render((0.475, 0.0, 0.0))
     assert image[90, 90, 1] > 200
     assert image[90, 90, 0] == 0
 
 
-def test_two_renders_of_one_state_are_identical_also_from_two_scenes():
+def test_rendering_is_deterministic_across_scenes():
     world = load_world("stars_ducks", WORKSPACE)
     first, second = Scene(world, CameraConfig()), Scene(world, CameraConfig())
     image = first.render((0.47, 0.01, 0.7))
@@ -185,8 +185,8 @@ def test_two_renders_of_one_state_are_identical_also_from_two_scenes():
     second.close()
 
 
-def assert_nothing_in_view_is_left_out(view, poses, monkeypatch):
-    """Pictures of all poses are those with every object rendered."""
+def assert_culling_changes_nothing(view, poses, monkeypatch):
+    """Compare images of all poses with those for which every object is rendered."""
     pictures = [view.render(pose) for pose in poses]
     with monkeypatch.context() as patch:
         patch.setattr(scene_module, "_in_view", lambda boxes, *_: [True] * len(boxes))
@@ -195,16 +195,16 @@ def assert_nothing_in_view_is_left_out(view, poses, monkeypatch):
 
 
 @pytest.mark.parametrize("name", world_names())
-def test_leaving_out_what_is_not_in_view_changes_no_pixel(name, monkeypatch):
+def test_culling_changes_no_pixel(name, monkeypatch):
     world, generator = load_world(name, WORKSPACE), np.random.default_rng(0)
     view = Scene(world, CameraConfig())
     anywhere = generator.uniform(WORKSPACE.lower, WORKSPACE.upper, (30, 3))
-    assert_nothing_in_view_is_left_out(view, anywhere, monkeypatch)
+    assert_culling_changes_nothing(view, anywhere, monkeypatch)
     view.close()
 
 
 @pytest.mark.parametrize("direction", [(1, 0), (-1, 0), (0, 1), (0, -1)])
-def test_an_object_is_seen_until_its_last_pixel_has_left_the_picture(scene, direction, monkeypatch):
+def test_object_is_rendered_until_its_last_pixel_is_out(scene, direction, monkeypatch):
     view = scene(discs((0.475, 0.0, 0.02)))
     # From 20 mm above the table the picture's edge is 75 mm off; the disc has a radius of 6 mm.
     distances = np.arange(0.078, 0.084, 1e-4)
@@ -212,10 +212,10 @@ def test_an_object_is_seen_until_its_last_pixel_has_left_the_picture(scene, dire
     seen = [reddish(view.render(pose)).any() for pose in poses]
     assert seen[0]
     assert not seen[-1]
-    assert_nothing_in_view_is_left_out(view, poses, monkeypatch)
+    assert_culling_changes_nothing(view, poses, monkeypatch)
 
 
-def test_an_object_that_was_out_of_view_has_its_colour_when_it_is_back(scene):
+def test_object_keeps_colour_after_culling(scene):
     text = discs((0.475, 0.0, 0.0)).replace("height:", "colour: [0.2, 0.9, 0.1], height:")
     view = scene(text)
     picture = view.render((0.475, 0.0, 0.0))
@@ -225,7 +225,7 @@ def test_an_object_that_was_out_of_view_has_its_colour_when_it_is_back(scene):
     np.testing.assert_array_equal(view.render((0.475, 0.0, 0.0)), picture)
 
 
-def test_where_there_is_nothing_but_table_nothing_is_rendered(scene, monkeypatch):
+def test_empty_table_needs_no_renderer(scene, monkeypatch):
     view = scene(discs((0.475, 0.0, 0.0)))
     monkeypatch.delattr(scene_module.pybullet, "getCameraImage")
     assert np.all(view.render((0.6, 0.1, 0.0)) == (0, 0, 255))
@@ -233,14 +233,16 @@ def test_where_there_is_nothing_but_table_nothing_is_rendered(scene, monkeypatch
         view.render((0.475, 0.0, 0.0))
 
 
-def test_images_have_the_configured_size_and_are_rgb_bytes(scene):
+def test_image_format(scene):
     image = scene(discs((0.475, 0.0, 0.0)), width=64, height=48).render((0.475, 0.0, 0.0))
     assert image.shape == (48, 64, 3)
     assert image.dtype == np.uint8
     assert image.flags.c_contiguous
 
 
-def test_a_texture_that_is_no_image_is_refused(scene, tmp_path):
+def test_invalid_texture_is_rejected(scene, tmp_path):
     (tmp_path / "texture.png").write_text("no image", encoding="utf-8")
-    with pytest.raises(WorldError, match=r"texture.png is not an image"):
+    with pytest.raises(
+        WorldError, match=r"texture.png begins with 6e 6f 20 69: it can be JPEG or PNG; convert it to PNG"
+    ):
         scene("table: {texture: texture.png}")

@@ -1,4 +1,4 @@
-"""The shipped worlds, and what is refused of a world file before anything starts."""
+"""World files: the shipped ones, and rejection of invalid ones before anything starts."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.simulation import resources
+from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.world import Disturbances, load_world, world_names
+from embodied_active_learning.simulation.world_settings import GeneratedTexture
 from embodied_active_learning.workspace import Workspace
 
 WORKSPACE = Workspace()
@@ -32,7 +35,7 @@ DUCK = "{urdf: 'package://embodied_active_learning/worlds/models/duck/duck.urdf'
 
 @pytest.fixture
 def load(tmp_path):
-    """Loads a world from YAML text."""
+    """Load a world from YAML text."""
 
     def load_text(text):
         path = tmp_path / "mine.yaml"
@@ -44,7 +47,7 @@ def load(tmp_path):
 
 @pytest.fixture
 def urdf(tmp_path):
-    """Writes a URDF whose visual holds the given geometry, and returns a world with it."""
+    """Write a URDF with the given geometry, and return a world with it."""
 
     def world_with(geometry):
         text = f'<robot name="a"><link name="a"><visual><geometry>{geometry}</geometry></visual></link></robot>'
@@ -54,14 +57,14 @@ def urdf(tmp_path):
     return world_with
 
 
-def test_the_papers_eight_workspaces_are_shipped():
+def test_eight_workspaces_of_paper_are_shipped():
     assert set(world_names()) == set(KINDS)
     for name, kinds in KINDS.items():
         assert sorted(item.kind for item in load_world(name, WORKSPACE).objects) == kinds
 
 
 @pytest.mark.parametrize("name", sorted(KINDS))
-def test_objects_stand_well_inside_the_workspace_and_apart_from_each_other(name):
+def test_shipped_objects_are_inside_workspace_and_apart(name):
     objects = load_world(name, WORKSPACE).objects
     positions = np.array([item.position for item in objects])
     assert np.all(np.abs(positions - WORKSPACE.centre[:2]) <= WORKSPACE.scale[:2] - 0.03)
@@ -70,24 +73,24 @@ def test_objects_stand_well_inside_the_workspace_and_apart_from_each_other(name)
         assert math.dist(first, second) >= 0.12
 
 
-def test_objects_are_as_large_as_things_on_a_table():
+def test_shipped_objects_have_plausible_size():
     for item in load_world("star_plant_duck", WORKSPACE).objects:
         assert 0.06 <= item.extent[:2].max() <= 0.09
         assert 0.015 <= item.extent[2] <= 0.08
 
 
-def test_a_world_is_clean_unless_it_asks_for_disturbances(load):
+def test_disturbances_are_off_by_default(load):
     assert load_world("diagonal", WORKSPACE).disturbances == Disturbances()
     world = load("disturbances: {image_noise: 5, brightness_drift: 0.1, actuation_noise: [0.01, 0.01, 0.1]}")
     assert world.disturbances == Disturbances(5.0, 0.1, (0.01, 0.01, 0.1))
 
 
-def test_defaults_of_an_object_are_unturned_unscaled_on_the_table(load):
+def test_object_defaults(load):
     item = load(f"objects: {{a: {DUCK}}}").objects[0]
     assert (item.name, item.kind, item.yaw, item.scale, item.height, item.colour) == ("a", "duck", 0.0, 1.0, 0.0, None)
 
 
-def test_kind_and_pybullet_address_are_taken_from_the_file(load):
+def test_kind_and_pybullet_address_are_used(load):
     item = load("objects: {a: {urdf: 'pybullet_data://duck_vhacd.urdf', position: [0.4, 0], kind: bird}}").objects[0]
     assert item.kind == "bird"
     assert item.model.mesh.name == "duck.obj"
@@ -96,34 +99,44 @@ def test_kind_and_pybullet_address_are_taken_from_the_file(load):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("objects: {a: {urdf: x.urdf, positon: [0.4, 0]}}", "did you mean position"),
+        ("objects: {a: {urdf: x.urdf, positon: [0.4, 0]}}", "did you mean objects/a/position"),
         ("tabel: {}", "did you mean table"),
         (f"objects: {{a: {DUCK.replace('0.4', '.nan')}}}", "objects/a/position is nan"),
         (f"objects: {{a: {DUCK.replace('0.4', '.inf')}}}", "objects/a/position is inf"),
         (f"objects: {{a: {DUCK.replace('0.4', '1.4')}}}", "objects/a at .* does not stand on the table"),
-        (f"objects: {{a: {DUCK.replace('0.4, 0.0', '0.4')}}}", "give 2 numbers"),
+        (f"objects: {{a: {DUCK.replace('0.4, 0.0', '0.4')}}}", "objects/a/position has 1 numbers: expected 2"),
         (f"objects: {{a: {DUCK}, a: {DUCK}}}", "'a' stands twice"),
-        (f"objects: {{a: {DUCK[:-1]}, scale: 0}}}}", "objects/a/scale is 0: legal is"),
+        (f"objects: {{a: {DUCK[:-1]}, scale: 0}}}}", "objects/a/scale is 0: expected a number from 1e-06"),
         (f"objects: {{a: {DUCK[:-1]}, height: -0.1}}}}", "objects/a/height"),
-        (f"objects: {{a: {DUCK[:-1]}, colour: [1, 2, 0]}}}}", "objects/a/colour is 2: legal is 0 to 1"),
-        (f"objects: {{a: {DUCK[:-1]}, colour: red}}}}", "objects/a/colour is 'red': give 3 or 4 numbers"),
-        (f"objects: {{a: {DUCK[:-1]}, yaw: true}}}}", "objects/a/yaw is True: give a finite number"),
+        (f"objects: {{a: {DUCK[:-1]}, colour: [1, 2, 0]}}}}", "objects/a/colour is 2: expected a number from 0 to 1"),
+        (f"objects: {{a: {DUCK[:-1]}, colour: red}}}}", "objects/a/colour is 'red': expected a list of 3 or 4 numbers"),
+        (f"objects: {{a: {DUCK[:-1]}, yaw: true}}}}", "objects/a/yaw is True: expected a number"),
         ("objects: {a: {position: [0.4, 0]}}", "objects/a/urdf is missing"),
         ("objects: {a: {urdf: gone.urdf, position: [0.4, 0]}}", "gone.urdf is missing"),
         ("objects: {a: {urdf: 'package://no_such_package/a.urdf', position: [0, 0]}}", "package no_such_package"),
-        ("objects: [a, b]", "give names and values"),
-        ("table: {texture: gone.png}", "there is no file .*gone.png"),
+        ("objects: [a, b]", "objects is .*: expected keys and values"),
+        ("table: {texture: gone.png}", "gone.png is missing"),
         ("table: {colour: [1, 1]}", "table/colour"),
         ("disturbances: {image_noise: -1}", "image_noise is -1"),
+        ("lighting: {brightnes: 1}", "did you mean lighting/brightness"),
+        ("lighting: {shadow: 2}", "lighting/shadow is 2: expected a number from 0 to 1"),
+        ("table: {generate: {kind: would, seed: 3}}", "table/generate/kind is 'would': expected one of .* wood"),
+        ("table: {generate: {kind: wood}, colour: [1, 1, 1]}", "give only one of texture, colour and generate"),
+        (f"objects: {{a: {DUCK[:-1]}, yaw: 90}}}}", "yaw is 90: expected a number from -6.28.* to 6.28.* rad"),
+        (f"objects: {{a: {DUCK[:-1]}, scale: 1, size: 0.08}}}}", "objects/a: give only one of scale and size"),
+        (f"objects: {{a: {DUCK[:-1]}, colour: [1, 0, 0, 0.5]}}}}", "transparent objects are not supported"),
+        (f"objects: {{a: {DUCK[:-1]}, scale: 1000}}}}", "objects/a measures 82.* m: is its model in millimetres"),
+        (f"objects: {{a: {DUCK[:-1]}, scale: 0.001}}}}", "objects/a measures .* Set size"),
+        (f"objects: {{a: {DUCK}, b: {DUCK.replace('0.4', '0.405')}}}", "a and objects/b overlap, .* 5 mm apart"),
         ("objects: {a: [", "is not plain YAML"),
         ("just words", "is a str, expected fields"),
         ("objects: !!python/object/apply:os.getcwd []", "is not plain YAML"),
     ],
 )
-def test_a_world_that_cannot_be_built_is_refused_by_name(load, text, complaint):
-    with pytest.raises(WorldError, match=complaint) as refusal:
+def test_invalid_world_is_rejected_with_file_and_key(load, text, complaint):
+    with pytest.raises(WorldError, match=complaint) as rejection:
         load(text)
-    assert "mine.yaml" in str(refusal.value) or "gone.urdf" in complaint or "package" in complaint
+    assert "mine.yaml" in str(rejection.value) or "gone.urdf" in complaint or "package" in complaint
 
 
 @pytest.mark.parametrize(
@@ -131,20 +144,73 @@ def test_a_world_that_cannot_be_built_is_refused_by_name(load, text, complaint):
     [
         ('<mesh filename="gone.obj"/>', "gone.obj is missing"),
         ('<mesh filename="thing.stl"/>', "is not an OBJ file"),
-        ('<mesh filename="empty.obj"/>', "no usable vertices"),
+        ('<mesh filename="empty.obj"/>', "has no vertices"),
         ('<mesh filename="empty.obj" scale="1 1"/>', "'1 1' is not 3 numbers"),
         ('<box size="1 1 1"/>', "is not a mesh"),
         ("<mesh", "is not XML"),
     ],
 )
-def test_a_model_that_cannot_be_shown_is_refused_with_the_name_of_its_urdf(load, urdf, tmp_path, geometry, complaint):
+def test_invalid_model_is_rejected_with_its_urdf(load, urdf, tmp_path, geometry, complaint):
     (tmp_path / "empty.obj").write_text("# nothing\n", encoding="utf-8")
-    with pytest.raises(WorldError, match=complaint) as refusal:
+    with pytest.raises(WorldError, match=complaint) as rejection:
         load(urdf(geometry))
-    assert "thing.urdf" in str(refusal.value)
+    assert "thing.urdf" in str(rejection.value)
 
 
-def test_an_unknown_world_is_answered_with_the_nearest_name():
+def test_world_is_loaded_from_path_object(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"objects: {{a: {DUCK}}}")
+    assert load_world(path, WORKSPACE) == load_world(str(path), WORKSPACE)
+
+
+def test_slight_overlap_is_logged(load, caplog):
+    load(f"objects: {{a: {DUCK}, b: {DUCK.replace('0.0]', '0.05]')}}}")
+    assert "objects/a and objects/b overlap, their centres are 50 mm apart" in caplog.text
+
+
+def test_object_above_another_does_not_overlap(load, caplog):
+    load(f"objects: {{a: {DUCK}, b: {DUCK[:-1]}, height: 0.08}}}}")
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize("extra", ["scale: 3.5", "height: 0.2", "height: 0.31"])
+def test_object_reaching_the_camera_is_rejected(tmp_path, extra):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"objects: {{a: {DUCK[:-1]}, {extra}}}}}")
+    load_world(path, WORKSPACE)
+    with pytest.raises(WorldError, match=r"mine.yaml: objects/a reaches .* cm above the table, the camera is at 30.0"):
+        load_world(path, WORKSPACE, CameraConfig())
+    load_world(path, WORKSPACE, CameraConfig(distance=0.5))
+
+
+def test_table_of_one_colour_is_logged(tmp_path, caplog):
+    """The planner holds the arm for images of one colour."""
+    path = tmp_path / "mine.yaml"
+    path.write_text("table: {colour: [1, 1, 1]}")
+    load_world(path, WORKSPACE, CameraConfig(allow_featureless=True))
+    assert caplog.text == ""
+    load_world(path, WORKSPACE, CameraConfig())
+    assert "the table of world mine has one colour" in caplog.text
+
+
+def test_default_table_is_plain_but_not_featureless(load):
+    table = load("objects: {}").table
+    assert table.generated == GeneratedTexture("plain", 0)
+    scene = Scene(load("objects: {}"), CameraConfig())
+    images = [scene.render((x, 0.0, 0.0)) for x in (0.4, 0.5)]
+    scene.close()
+    assert images[0].std(axis=(0, 1)).min() > 0.5
+    assert not np.array_equal(*images)
+
+
+def test_procedural_object_is_loaded_by_name_and_size(load):
+    (item,) = load("objects: {a: {urdf: random_urdfs/000, position: [0.4, 0.0], size: 0.08}}").objects
+    assert item.kind == "random_000"
+    assert item.extent.max() == pytest.approx(0.08)
+    assert item.rgb == (0.04, 0.07, 0.91)
+
+
+def test_unknown_world_suggests_nearest_name():
     with pytest.raises(WorldError, match="did you mean diagonal"):
         load_world("diagnal", WORKSPACE)
     with pytest.raises(WorldError, match=r"nowhere\.yaml is missing"):
@@ -152,7 +218,7 @@ def test_an_unknown_world_is_answered_with_the_nearest_name():
 
 
 @pytest.mark.parametrize("variable", ["ROS_PACKAGE_PATH", "CMAKE_PREFIX_PATH"])
-def test_an_installed_package_finds_its_worlds_through_the_ros_environment(monkeypatch, tmp_path, variable):
+def test_installed_package_finds_its_worlds(monkeypatch, tmp_path, variable):
     share = tmp_path / "share"
     installed = share / "embodied_active_learning"
     (installed / "worlds").mkdir(parents=True)
@@ -166,13 +232,13 @@ def test_an_installed_package_finds_its_worlds_through_the_ros_environment(monke
     assert resources.worlds_folder() == installed / "worlds"
 
 
-def test_the_shipped_models_are_what_their_script_makes(monkeypatch, tmp_path):
+def test_shipped_models_match_their_script(monkeypatch, tmp_path):
     shipped = resources.worlds_folder() / "models"
     specification = importlib.util.spec_from_file_location("make_models", shipped / "make_models.py")
     script = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(script)
     monkeypatch.setattr(script, "FOLDER", tmp_path)
-    script.main()
+    script.main([])
     made = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
     assert len(made) == 10
     for path in made:

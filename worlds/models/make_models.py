@@ -1,13 +1,22 @@
 #!/usr/bin/env python3
-"""Makes the plant, the star and the stone and the wood of the table anew: the same files at every run."""
+"""Generate the shipped models and table textures, or further textures; the output is deterministic.
+
+    worlds/models/make_models.py                          # plant, star, stone and wood, next to this script
+    worlds/models/make_models.py --textures FOLDER        # every kind of generated texture, five seeds each
+
+A world uses a generated texture without a file: `table: {generate: {kind: marble, seed: 3}}`.
+"""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import List, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
+
+from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS, generate_texture
 
 FOLDER = Path(__file__).resolve().parent
 Triangle = Tuple[np.ndarray, np.ndarray]  # corners (3, 3) m, texture coordinates (3, 2)
@@ -17,20 +26,20 @@ LEAF, POT, SOIL = 0.0, 1.0 / 3.0, 2.0 / 3.0
 
 
 def fan(rim: np.ndarray, tip: np.ndarray, rim_uv: np.ndarray, tip_uv: np.ndarray) -> List[Triangle]:
-    """Triangles from each edge of a closed rim (N, 3) to one tip."""
+    """Return triangles from each edge of a closed rim (N, 3) to one tip."""
     following, following_uv = np.roll(rim, -1, axis=0), np.roll(rim_uv, -1, axis=0)
     corners = zip(rim, following, rim_uv, following_uv)
     return [(np.array([a, b, tip]), np.array([u, v, tip_uv])) for a, b, u, v in corners]
 
 
 def ring(radius: float, height: float, count: int) -> np.ndarray:
-    """(count, 3) points on a level circle."""
+    """Return (count, 3) points on a horizontal circle."""
     angle = 2.0 * np.pi * np.arange(count) / count
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)], axis=1)
 
 
 def wall(below: np.ndarray, above: np.ndarray, swatch: float) -> List[Triangle]:
-    """Triangles between two rings (N, 3)."""
+    """Return triangles between two rings (N, 3)."""
     count = len(below)
     u, low, high = swatch + 1.0 / 6.0, 0.1, 0.9
     triangles = []
@@ -42,7 +51,7 @@ def wall(below: np.ndarray, above: np.ndarray, swatch: float) -> List[Triangle]:
 
 
 def leaf(yaw: float, length: float, width: float, rise: float) -> List[Triangle]:
-    """A folded leaf that leaves the middle of the pot, rises, and hangs over its rim."""
+    """Return a folded leaf that rises from the centre of the pot and hangs over its rim."""
     left, right, u = LEAF + 0.02, LEAF + 0.31, LEAF + 1.0 / 6.0
     root = np.array([0.004, 0.0, 0.034])
     belly = np.array([0.5 * length, 0.0, 0.034 + rise])
@@ -56,20 +65,20 @@ def leaf(yaw: float, length: float, width: float, rise: float) -> List[Triangle]
     ]
     cosine, sine = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    # Wound so that each triangle shows its face to a camera above.
+    # The renderer draws only triangles that face the camera above.
     return [(upward(points @ turn.T), uv) for points, uv in corners]
 
 
 def upward(points: np.ndarray) -> np.ndarray:
-    """The triangle's corners (3, 3); they must already run counter-clockwise seen from above."""
+    """Return a triangle's corners (3, 3) unchanged. Raises ValueError unless they are counter-clockwise from above."""
     normal = np.cross(points[1] - points[0], points[2] - points[0])
     if normal[2] <= 0.0:
-        raise ValueError("a leaf's triangle looks down: turn its corners round")
+        raise ValueError("a triangle of a leaf faces down: reverse its corners")
     return points
 
 
 def plant() -> List[Triangle]:
-    """A brown pot with nine leaves of differing size, 8 cm across: no two yaws look alike."""
+    """Return a brown pot with nine leaves of different size, 8 cm across: no two yaws look alike."""
     bottom, rim = ring(0.013, 0.0, 12), ring(0.020, 0.034, 12)
     soil_uv = np.full((12, 2), [SOIL + 1.0 / 6.0, 0.5])
     triangles = wall(bottom, rim, POT)
@@ -84,7 +93,7 @@ def plant() -> List[Triangle]:
 
 
 def star() -> List[Triangle]:
-    """A bevelled star with five points, 8 cm across; its texture darkens along one axis and so shows its yaw."""
+    """Return a bevelled star with five points, 8 cm across; its texture darkens along one axis to show its yaw."""
     angle = np.pi * np.arange(10) / 5.0
     radius = np.where(np.arange(10) % 2 == 0, 0.042, 0.018)
     flat = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
@@ -100,7 +109,7 @@ def star() -> List[Triangle]:
 
 
 def plant_texture() -> np.ndarray:
-    """(96, 96, 3) RGB: the leaf with its light rib, the pot, the soil."""
+    """Return (96, 96, 3) RGB: leaf with its light rib, pot, soil."""
     across = np.abs(np.linspace(-1.0, 1.0, 32))[None, :, None]
     along = np.linspace(1.0, 0.0, 96)[:, None, None]
     green = np.array([38.0, 128.0, 40.0]) * (0.75 + 0.35 * along) * (1.15 - 0.25 * across)
@@ -110,13 +119,13 @@ def plant_texture() -> np.ndarray:
 
 
 def star_texture() -> np.ndarray:
-    """(64, 64, 3) RGB: red, darker towards -x."""
+    """Return (64, 64, 3) RGB: red, darker towards -x."""
     along = np.linspace(0.0, 1.0, 64)[None, :, None]
     return np.array([236.0, 40.0, 44.0]) * (0.66 + 0.40 * along) * np.ones((64, 1, 1))
 
 
 def stone_texture(size: int = 1024) -> np.ndarray:
-    """(size, size, 3) RGB: light stone of low contrast, from smoothed noise at several scales."""
+    """Return (size, size, 3) RGB: light stone of low contrast, from smoothed noise at several scales."""
     generator = np.random.default_rng(7)
     grey = np.zeros((size, size))
     for cells, weight in ((6, 4.0), (12, 4.0), (24, 4.0), (48, 3.0), (96, 2.0)):
@@ -126,7 +135,7 @@ def stone_texture(size: int = 1024) -> np.ndarray:
 
 
 def wood_texture(size: int = 1024) -> np.ndarray:
-    """(size, size, 3) RGB: planks of light wood with grain along one axis, of more contrast than the stone."""
+    """Return (size, size, 3) RGB: planks of light wood with grain along one axis, with more contrast than the stone."""
     generator = np.random.default_rng(11)
     grain = np.zeros((size, size))
     for across, along, weight in ((200, 6, 5.0), (100, 4, 5.0), (50, 3, 4.0)):
@@ -141,7 +150,7 @@ def wood_texture(size: int = 1024) -> np.ndarray:
 
 def write_texture(path: Path, texture: np.ndarray) -> None:
     """Write a texture (H, W, 3) RGB, 0 to 255, as PNG."""
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     image = np.clip(np.rint(texture), 0, 255).astype(np.uint8)
     cv2.imwrite(str(path), image[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
@@ -168,8 +177,22 @@ def write_model(name: str, triangles: List[Triangle], texture: np.ndarray) -> No
     )
 
 
-def main() -> None:
-    """Write every file beside this script."""
+def write_textures(folder: Path, seeds: int) -> int:
+    """Write every kind of generated texture as KIND_SEED.png -> number of files."""
+    for kind in TEXTURE_KINDS:
+        for seed in range(seeds):
+            write_texture(folder / f"{kind}_{seed}.png", generate_texture(kind, seed).astype(np.float64))
+    return seeds * len(TEXTURE_KINDS)
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> None:
+    """Write the shipped files next to this script, or textures into a folder."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--textures", type=Path, metavar="FOLDER", help="write generated table textures there instead")
+    parser.add_argument("--seeds", type=int, default=5, help="number of textures of each kind")
+    options = parser.parse_args(arguments)
+    if options.textures is not None:
+        parser.exit(message=f"{write_textures(options.textures, options.seeds)} textures in {options.textures}\n")
     write_model("plant", plant(), plant_texture())
     write_model("star", star(), star_texture())
     write_texture(FOLDER / "table" / "stone.png", stone_texture())

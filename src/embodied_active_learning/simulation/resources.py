@@ -1,8 +1,9 @@
-"""Where worlds, models and textures lie: in the source tree, an installed package, or pybullet_data."""
+"""Locate worlds, models and textures: in the source tree, an installed package, or pybullet_data."""
 
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Iterator
 
@@ -14,31 +15,46 @@ PACKAGE = "embodied_active_learning"
 
 _PACKAGE_SCHEME = "package://"
 _PYBULLET_SCHEME = "pybullet_data://"
+_RANDOM_URDF = re.compile(r"random_urdfs/(\d{3})")
 
 
 def worlds_folder() -> Path:
-    """The folder of the shipped worlds. Raises WorldError naming the places that were searched."""
+    """Return the folder of the shipped worlds. Raises WorldError with the searched folders."""
     return package_folder(PACKAGE) / "worlds"
 
 
 def package_folder(package: str) -> Path:
-    """Root of a catkin package: our own source tree first, then ROS_PACKAGE_PATH and CMAKE_PREFIX_PATH."""
+    """Return the root of a catkin package: own source tree first, then ROS_PACKAGE_PATH and CMAKE_PREFIX_PATH.
+
+    Raises WorldError with the searched folders.
+    """
     candidates = list(_candidates(package))
     for folder in candidates:
         if (folder / "package.xml").is_file() and (package != PACKAGE or (folder / "worlds").is_dir()):
             return folder
     searched = ", ".join(str(folder) for folder in candidates) or "ROS_PACKAGE_PATH and CMAKE_PREFIX_PATH, both empty"
-    raise WorldError(f"package {package} was not found in {searched}: source the workspace that holds it")
+    raise WorldError(f"package {package} not found in {searched}: source the workspace that contains it")
 
 
 def locate(address: str, folder: Path) -> Path:
-    """The file behind a package:// or pybullet_data:// address or a path relative to the folder; it may not exist."""
+    """Return the path behind an address; the file may not exist.
+
+    address: package://PACKAGE/PATH, pybullet_data://PATH, random_urdfs/000 to /999 (procedural objects in
+    pybullet_data), or a path relative to the folder. Raises WorldError for an unknown package.
+    """
+    random_urdf = _RANDOM_URDF.fullmatch(address)
+    if random_urdf:
+        return _pybullet_data() / "random_urdfs" / random_urdf[1] / f"{random_urdf[1]}.urdf"
     if address.startswith(_PYBULLET_SCHEME):
-        return Path(pybullet_data.getDataPath()) / address[len(_PYBULLET_SCHEME) :]
+        return _pybullet_data() / address[len(_PYBULLET_SCHEME) :]
     if address.startswith(_PACKAGE_SCHEME):
         package, _, path = address[len(_PACKAGE_SCHEME) :].partition("/")
         return package_folder(package) / path
     return folder / os.path.expanduser(address)
+
+
+def _pybullet_data() -> Path:
+    return Path(pybullet_data.getDataPath())
 
 
 def _candidates(package: str) -> Iterator[Path]:

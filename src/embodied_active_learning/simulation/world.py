@@ -1,28 +1,43 @@
-"""What stands on the table, from worlds/*.yaml; everything is checked before anything starts."""
+"""Worlds: the objects on the simulated table, read from YAML and checked before anything starts."""
 
 from __future__ import annotations
 
-import difflib
+import logging
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Optional, Tuple
+from typing import Optional, Tuple, Union
 
 import numpy as np
 
+from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.files import FileReader
+from embodied_active_learning.schema import load, nearest
+from embodied_active_learning.simulation.materials import Appearance
 from embodied_active_learning.simulation.object_model import ObjectModel, read_model
+from embodied_active_learning.simulation.placement import check_heights, check_objects
 from embodied_active_learning.simulation.resources import locate, worlds_folder
-from embodied_active_learning.simulation.section import Section
+from embodied_active_learning.simulation.world_settings import (
+    Disturbances,
+    GeneratedTexture,
+    Lighting,
+    ObjectSettings,
+    TableSettings,
+    WorldSettings,
+)
 from embodied_active_learning.workspace import Workspace
 
 _TABLE_MARGIN = 0.25  # m of table around the workspace: more than half the camera's footprint
+_READER = FileReader(WorldError, "see docs/worlds.md and the worlds in worlds/", follow=True)
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class PlacedObject:
-    """A model on the table; position is where the centre of its mesh comes to lie."""
+    """A model on the table; position is that of the centre of its mesh."""
 
     name: str
     kind: str
@@ -35,122 +50,148 @@ class PlacedObject:
 
     @property
     def extent(self) -> np.ndarray:
-        """(3,) size of the box around the unturned mesh, m."""
+        """(3,) size of the box around the mesh at yaw 0, m."""
         return self.scale * self.model.extent
 
+    @property
+    def rgb(self) -> Tuple[float, ...]:
+        """Red, green, blue in [0, 1] of the object, or of its texture's tint."""
+        return tuple((self.model.colour if self.colour is None else self.colour)[:3])
+
+    @property
+    def appearance(self) -> Appearance:
+        """Look of the mesh; a colour of the world file replaces colours of its faces."""
+        model = self.model.appearance
+        return model if self.colour is None else replace(model, face_colours=None)
+
     def corners(self) -> np.ndarray:
-        """(4, 2) corners of the turned box around the mesh, m, in the base frame."""
+        """(4, 2) corners of the rotated box around the mesh, m, in the base frame."""
         signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
-        turn = np.array([[cosine, -sine], [sine, cosine]])
-        return signs * self.extent[:2] / 2.0 @ turn.T + self.position
+        rotation = np.array([[cosine, -sine], [sine, cosine]])
+        return signs * self.extent[:2] / 2.0 @ rotation.T + self.position
 
 
 @dataclass(frozen=True)
 class Table:
-    """The table top, at z = 0: one texture stretched over it, or a plain colour."""
+    """The table top, at z = 0: a picture, a generated texture, or one colour."""
 
     centre: Tuple[float, ...]
     size: Tuple[float, ...]
     texture: Optional[Path] = None
     colour: Tuple[float, ...] = (0.82, 0.80, 0.77)
+    generated: Optional[GeneratedTexture] = None
 
     def contains(self, points: np.ndarray) -> bool:
-        """Whether all points (N, 2), m, lie on the table."""
+        """Return whether all points (N, 2), m, lie on the table."""
         return bool(np.all(np.abs(points - np.asarray(self.centre)) <= np.asarray(self.size) / 2.0))
 
 
 @dataclass(frozen=True)
-class Disturbances:
-    """Standard deviations of what a real robot adds; all zero in a clean simulation."""
-
-    image_noise: float = 0.0  # grey levels, each pixel and image anew
-    brightness_drift: float = 0.0  # part of the brightness, slowly varying
-    actuation_noise: Tuple[float, ...] = (0.0, 0.0, 0.0)  # m/s, m/s, rad/s, each command anew
-
-
-@dataclass(frozen=True)
 class World:
-    """One workspace: its objects, the table under them, and what disturbs."""
+    """A table with objects, its lighting, and disturbances of camera and arm."""
 
     name: str
     objects: Tuple[PlacedObject, ...]
     table: Table
-    disturbances: Disturbances = Disturbances()
+    disturbances: Disturbances = field(default_factory=Disturbances)
+    lighting: Lighting = field(default_factory=Lighting)
 
 
 def world_names() -> Tuple[str, ...]:
-    """Names of the shipped worlds."""
+    """Return the names of the shipped worlds."""
     return tuple(sorted(path.stem for path in worlds_folder().glob("*.yaml")))
 
 
-def load_world(name_or_path: str, workspace: Workspace) -> World:
-    """A shipped world by name, or any by the path of its YAML file. Raises WorldError for whatever cannot be built."""
+def load_world(name_or_path: Union[str, Path], workspace: Workspace, camera: Optional[CameraConfig] = None) -> World:
+    """Load a world and everything it refers to.
+
+    Args:
+        name_or_path: Name of a shipped world, or path of a YAML file.
+        workspace: Workspace around which the table is placed by default.
+        camera: If given, objects must stay below it, and a table of one colour is logged as a warning.
+
+    Raises:
+        WorldError: The world cannot be built; the message names file, key and remedy.
+    """
     path = find_world(name_or_path)
-    top = Section.read(path, ("table", "objects", "disturbances"))
-    table = _table(top.section("table", ("centre", "size", "texture", "colour")), path.parent, workspace)
-    named = top.section("objects")
-    objects = tuple(_placed(named, name, path.parent) for name in named)
-    for item in objects:
-        if not table.contains(item.corners()):
-            raise WorldError(
-                f"{named.where}/{item.name} at {list(item.position)} does not stand on the table, which is "
-                f"{list(table.size)} m around {list(table.centre)}: move it, or enlarge table/size"
-            )
-    disturbances = _disturbances(top.section("disturbances", Disturbances.__dataclass_fields__))
-    return World(name=path.stem, objects=objects, table=table, disturbances=disturbances)
+    world = build_world(load(WorldSettings, path, _READER), workspace, path)
+    if camera is not None:
+        try:
+            check_heights(world.objects, camera)
+        except WorldError as error:
+            raise WorldError(f"{path}: {error}") from error
+        _warn_of_plain_table(world, camera)
+    return world
 
 
-def find_world(name_or_path: str) -> Path:
-    """The file of a shipped world by name, or the path itself. Raises WorldError with the nearest known name."""
-    path = Path(os.path.expanduser(name_or_path))
-    if "\0" in name_or_path:
-        raise WorldError(f"simulation/world is {name_or_path!r}, and no such file can be: give another one")
+def build_world(settings: WorldSettings, workspace: Workspace, path: Path) -> World:
+    """Build a world from its settings; path: of its file, for relative paths, its name, and messages."""
+    try:
+        table = _build_table(settings.table, path.parent, workspace)
+        objects = tuple(_place(name, item, path.parent) for name, item in settings.objects.items())
+        check_objects(objects, table)
+    except WorldError as error:
+        raise WorldError(f"{path}: {error}") from error
+    return World(path.stem, objects, table, settings.disturbances, settings.lighting)
+
+
+def find_world(name_or_path: Union[str, Path]) -> Path:
+    """Return the file of a shipped world by name, or the path itself. Raises WorldError with the nearest known name."""
+    name = str(name_or_path)
+    if "\0" in name:
+        raise WorldError(f"invalid simulation/world {name!r}: give a name or the path of a YAML file")
+    path = Path(os.path.expanduser(name))
     if path.suffix in (".yaml", ".yml"):
         return path.absolute()
     known = world_names()
-    if name_or_path not in known:
-        nearest = difflib.get_close_matches(name_or_path, known, n=1)
-        hint = f"did you mean {nearest[0]}? " if nearest else ""
-        raise WorldError(
-            f"unknown world {name_or_path!r}: {hint}There are {', '.join(known)}; or give the path of a YAML file"
-        )
-    return worlds_folder() / f"{name_or_path}.yaml"
+    if name not in known:
+        raise WorldError(f"unknown world {name!r}: {nearest(name, known)} Or give the path of a YAML file")
+    return worlds_folder() / f"{name}.yaml"
 
 
-def _placed(objects: Section, name: str, folder: Path) -> PlacedObject:
-    known = ("urdf", "kind", "position", "yaw", "scale", "height", "colour")
-    keys = objects.section(name, known)
-    model = read_model(locate(keys.text("urdf"), folder))
+def _place(name: str, settings: ObjectSettings, folder: Path) -> PlacedObject:
+    try:
+        model = read_model(locate(settings.urdf, folder))
+    except WorldError as error:
+        raise WorldError(f"objects/{name}/urdf: {error}") from error
+    stem = model.urdf.stem
+    scale = 1.0 if settings.scale is None else settings.scale
     return PlacedObject(
         name=name,
-        kind=keys.text("kind", model.urdf.stem.split("_")[0]),
+        kind=settings.kind or (f"random_{stem}" if stem.isdecimal() else stem.split("_")[0]),
         model=model,
-        position=keys.numbers("position", (2,)),
-        yaw=keys.number("yaw", 0.0),
-        scale=keys.number("scale", 1.0, low=1e-3, high=1e3),
-        height=keys.number("height", 0.0, low=0.0),
-        colour=keys.numbers("colour", (3, 4), low=0.0, high=1.0) if "colour" in keys else None,
+        position=settings.position,
+        yaw=settings.yaw,
+        scale=scale if settings.size is None else settings.size / float(model.extent.max()),
+        height=settings.height,
+        colour=settings.colour,
     )
 
 
-def _table(keys: Section, folder: Path, workspace: Workspace) -> Table:
+def _build_table(settings: TableSettings, folder: Path, workspace: Workspace) -> Table:
     centre = tuple(float(value) for value in workspace.centre[:2])
     size = tuple(float(2.0 * (value + _TABLE_MARGIN)) for value in workspace.scale[:2])
-    texture = locate(keys.text("texture"), folder) if "texture" in keys else None
+    texture = None if settings.texture is None else locate(settings.texture, folder)
     if texture is not None and not os.path.exists(texture):
-        raise WorldError(f"{keys.where}/texture: there is no file {texture}")
+        raise WorldError(f"table/texture: {texture} is missing; give the path of a PNG or JPEG picture")
+    generated = settings.generate
+    if texture is None and settings.colour is None and generated is None:
+        generated = GeneratedTexture("plain")
     return Table(
-        centre=keys.numbers("centre", (2,), default=centre),
-        size=keys.numbers("size", (2,), default=size, low=0.01),
+        centre=settings.centre or centre,
+        size=settings.size or size,
         texture=texture,
-        colour=keys.numbers("colour", (3,), default=Table.colour, low=0.0, high=1.0),
+        colour=settings.colour or Table.colour,
+        generated=generated,
     )
 
 
-def _disturbances(keys: Section) -> Disturbances:
-    return Disturbances(
-        image_noise=keys.number("image_noise", 0.0, low=0.0, high=255.0),
-        brightness_drift=keys.number("brightness_drift", 0.0, low=0.0, high=1.0),
-        actuation_noise=keys.numbers("actuation_noise", (3,), default=(0.0, 0.0, 0.0), low=0.0),
-    )
+def _warn_of_plain_table(world: World, camera: CameraConfig) -> None:
+    plain = world.table.texture is None and world.table.generated is None
+    if plain and not world.disturbances.image_noise and not camera.allow_featureless:
+        _log.warning(
+            "the table of world %s has one colour: images without an object have one colour, and the arm is held; "
+            "use `table: {generate: {kind: plain}}`, or set camera/allow_featureless",
+            world.name,
+        )

@@ -1,0 +1,55 @@
+"""Read the files a world refers to: regular files of bounded size, with errors that name the remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from embodied_active_learning.errors import WorldError
+from embodied_active_learning.files import FileReader
+from embodied_active_learning.images import encoded_size
+
+LARGEST_PICTURE = 2**24
+"""Maximum number of pixels of a texture."""
+_LFS_POINTER = b"version https://git-lfs"
+
+
+def read_asset(path: Path, expected: str, limit: int) -> bytes:
+    """Return the content of a file.
+
+    Args:
+        path: The file; may be a symbolic link.
+        expected: What it should be, for messages.
+        limit: Maximum size in bytes.
+
+    Raises:
+        WorldError: The file is missing, not a regular file, too large, or a Git LFS pointer.
+    """
+    content = FileReader(WorldError, f"give {expected}", limit, follow=True).read_bytes(path)
+    if content.startswith(_LFS_POINTER):
+        raise WorldError(f"{path} is a Git LFS pointer, not {expected}: run `git lfs pull` in its repository")
+    return content
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """Return a PNG or JPEG file as (H, W, 3) uint8 RGB.
+
+    The size is read from the header before anything is decoded. Raises WorldError as read_asset() does, and for a
+    damaged or too large picture.
+    """
+    content = read_asset(path, "a PNG or JPEG picture", 2**26)
+    try:
+        height, width = encoded_size(content)
+    except ValueError as error:
+        raise WorldError(f"texture {path} {error}; convert it to PNG") from None
+    if not 0 < height * width <= LARGEST_PICTURE:
+        raise WorldError(f"texture {path} has {width} x {height} pixels: reduce it to at most {LARGEST_PICTURE}")
+    try:
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        picture = None
+    if picture is None or picture.shape != (height, width, 3):
+        raise WorldError(f"texture {path} is damaged: its pixels cannot be decoded; convert it to PNG again")
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
