@@ -1,4 +1,4 @@
-"""Commands to an arm that follows set-points late, as an impedance controller's does; by a clock of the tests' own."""
+"""Commands to an arm that follows set-points with a lag, on a clock that the tests advance."""
 
 import math
 
@@ -15,7 +15,7 @@ from embodied_active_learning.errors import (
 )
 from embodied_active_learning.franka.driver import AT_REST, FrankaDriver
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
-from embodied_active_learning.franka.readiness import CONTROLLER, Controller, RobotMode
+from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
 from threads import in_a_thread, wait_for
 
 CONFIG = Config.from_dict(
@@ -47,7 +47,7 @@ class StoppedBy:
 
 
 class Outcome:
-    """A command in a thread of its own, and what has come of it."""
+    """A command in a thread, with its result or error."""
 
     def __init__(self, command, *arguments):
         self.result = self.error = None
@@ -60,7 +60,7 @@ class Outcome:
             self.error = error
 
     @property
-    def is_there(self):
+    def is_done(self):
         return not self._thread.is_alive()
 
     def raise_error(self):
@@ -69,14 +69,14 @@ class Outcome:
 
 
 class Lab:
-    """A driver, the robot that it moves, and the time that passes when a test says so."""
+    """A driver and a robot that follows its set-points while the test advances the time."""
 
     def __init__(self, config=CONFIG, pose=CENTRE, height=0.0, tilt=(0.0, 0.0)):
         self.now = 50.0
         self.mount = CameraMount.from_config(config)
         self.pose = CameraPose(tuple(map(float, pose)), height, tilt)
         self.driver = FrankaDriver(config, lambda: self.now)
-        self.driver.readiness.prepared()
+        self.driver.readiness.set_prepared()
         self.mode, self.errors = RobotMode.MOVE, ()
         self.sends_states = self.follows = True
         self.sent = []
@@ -110,22 +110,22 @@ class Lab:
     def carries_out(self, command, *arguments, longest=30.0):
         outcome = Outcome(command, *arguments)
         ends_at = self.now + longest
-        while not outcome.is_there and self.now < ends_at:
+        while not outcome.is_done and self.now < ends_at:
             self.passes(PERIOD)
             outcome._thread.join(0.001)
-        wait_for(lambda: outcome.is_there)
+        wait_for(lambda: outcome.is_done)
         outcome.raise_error()
         return outcome.result
 
     def starts_moving(self, velocity=(0.1, 0.0, 0.0), duration=1.0, stop=None):
         outcome = Outcome(self.driver.move, velocity, duration, stop or NeverStopped())
-        wait_for(lambda: type(self.driver._command).__name__ == "_Move")
+        wait_for(lambda: type(self.driver._motion).__name__ == "Move")
         self.passes(0.3)
-        assert np.any(np.abs(self.driver._track.velocity) > AT_REST)
+        assert np.any(np.abs(self.driver._history.velocity) > AT_REST)
         return outcome
 
     def ends(self, outcome):
-        wait_for(lambda: outcome.is_there)
+        wait_for(lambda: outcome.is_done)
         outcome.raise_error()
 
     @property
@@ -133,7 +133,7 @@ class Lab:
         return np.array(self.driver._stream.velocity)
 
 
-def test_a_move_lasts_its_duration_and_answers_what_was_measured():
+def test_move_lasts_its_duration_and_returns_measured_state():
     lab = Lab()
     began_at = lab.now
     reached = lab.carries_out(lab.driver.move, (0.05, -0.02, 0.1), 0.5, NeverStopped())
@@ -143,7 +143,7 @@ def test_a_move_lasts_its_duration_and_answers_what_was_measured():
     assert 0.02 < reached.velocity[0] < 0.05
 
 
-def test_moves_join_without_a_stop_and_the_arm_brakes_by_itself_when_none_follows():
+def test_moves_join_and_arm_brakes_after_the_last():
     lab = Lab()
     for _ in range(3):
         lab.carries_out(lab.driver.move, (0.05, 0.0, 0.0), 0.2, NeverStopped())
@@ -154,7 +154,7 @@ def test_moves_join_without_a_stop_and_the_arm_brakes_by_itself_when_none_follow
     np.testing.assert_array_equal(lab.velocity, 0.0)
 
 
-def test_a_velocity_above_the_limits_is_cut_and_that_is_told():
+def test_velocity_above_limits_is_reduced_and_reported():
     lab = Lab()
     assert lab.carries_out(lab.driver.move, (1.0, 0.0, 0.0), 0.2, NeverStopped()).limited
     assert lab.velocity[0] <= CONFIG.arm.max_speed
@@ -164,14 +164,14 @@ def test_a_velocity_above_the_limits_is_cut_and_that_is_told():
     ("velocity", "duration", "complaint"),
     [((math.nan, 0.0, 0.0), 0.2, "velocity .* is refused"), ((0.1, 0.0, 0.0), 60.0, "duration 60.0 s is refused")],
 )
-def test_what_no_arm_should_be_told_is_refused(velocity, duration, complaint):
+def test_invalid_move_is_rejected(velocity, duration, complaint):
     lab = Lab()
     with pytest.raises(CommandError, match=complaint):
         lab.driver.move(velocity, duration, NeverStopped())
     np.testing.assert_array_equal(lab.velocity, 0.0)
 
 
-def test_the_arm_goes_to_a_pose_and_stops_there():
+def test_go_to_reaches_pose_and_stops():
     lab = Lab()
     target = (0.4, 0.1, -1.0)
     reached = lab.carries_out(lab.driver.go_to, target, NeverStopped())
@@ -179,27 +179,27 @@ def test_the_arm_goes_to_a_pose_and_stops_there():
     assert np.all(np.abs(reached.velocity) <= AT_REST)
 
 
-def test_an_arm_that_is_held_does_not_reach_its_pose_and_says_how_far_off_it_is():
+def test_go_to_of_blocked_arm_fails_with_distance():
     lab = Lab()
     lab.follows = False
-    with pytest.raises(ArmFailedError, match=r"was not reached in .* 0\.100 m and 0\.00 rad away, .* 0\.050 m"):
+    with pytest.raises(ArmFailedError, match=r"not reached within .* 0\.100 m and 0\.00 rad away, .* 0\.050 m"):
         lab.carries_out(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), NeverStopped())
 
 
-def test_a_pose_outside_the_workspace_is_refused():
+def test_go_to_outside_workspace_is_rejected():
     with pytest.raises(CommandError, match="outside the workspace"):
         Lab().driver.go_to((1.5, 0.0, 0.0), NeverStopped())
 
 
-def test_a_silence_breaks_the_command_off_and_no_set_point_is_sent_until_the_robot_is_back():
+def test_stale_state_aborts_move_until_states_return():
     lab = Lab()
     outcome = lab.starts_moving()
     lab.sends_states = False
     lab.passes(0.25)
-    with pytest.raises(ArmFailedError, match=r"broken off: no new state of the robot has come"):
+    with pytest.raises(ArmFailedError, match=r"aborted: no new robot state"):
         lab.ends(outcome)
     assert lab.sent[-1] is None
-    with pytest.raises(ArmNotReadyError, match="no new state"):
+    with pytest.raises(ArmNotReadyError, match="no new robot state"):
         lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
     lab.sends_states = True
     lab.passes(0.02)
@@ -208,17 +208,17 @@ def test_a_silence_breaks_the_command_off_and_no_set_point_is_sent_until_the_rob
     np.testing.assert_array_equal(lab.velocity, 0.0)
 
 
-def test_a_state_that_is_sent_again_and_again_is_a_silence():
+def test_repeated_state_counts_as_stale():
     lab = Lab()
     stamp = lab.now
     lab.sends_states = False
     for _ in range(30):
         lab.passes(PERIOD)
         lab.driver.update_state(stamp, 0.0, lab.end_effector(), lab.mode, (), ())
-    assert "no new state" in lab.driver.why_not_ready()
+    assert "no new robot state" in lab.driver.why_not_ready()
 
 
-def test_states_that_are_not_finite_break_the_command_off():
+def test_non_finite_state_aborts_move():
     lab = Lab()
     outcome = lab.starts_moving()
     lab.sends_states = False
@@ -229,7 +229,7 @@ def test_states_that_are_not_finite_break_the_command_off():
         lab.ends(outcome)
 
 
-def test_a_pose_that_jumps_breaks_the_command_off_and_the_arm_stays_where_it_is_now():
+def test_pose_jump_aborts_move_and_holds_new_pose():
     lab = Lab()
     outcome = lab.starts_moving()
     x, y, theta = lab.pose.planar
@@ -242,7 +242,7 @@ def test_a_pose_that_jumps_breaks_the_command_off_and_the_arm_stays_where_it_is_
     lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 0.1, NeverStopped())
 
 
-def test_a_reflex_breaks_the_command_off_with_its_name_and_later_commands_wait_for_the_recovery():
+def test_reflex_aborts_move_and_rejects_later_commands():
     lab = Lab()
     outcome = lab.starts_moving()
     lab.mode, lab.errors = RobotMode.REFLEX, ("cartesian_reflex",)
@@ -250,11 +250,11 @@ def test_a_reflex_breaks_the_command_off_with_its_name_and_later_commands_wait_f
     with pytest.raises(ArmFailedError, match="cartesian_reflex"):
         lab.ends(outcome)
     assert lab.sent[-1] is None
-    with pytest.raises(ArmBusyError, match="recovers by itself"):
+    with pytest.raises(ArmBusyError, match="recovery 1 of 2 follows automatically"):
         lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
 
 
-def test_a_user_stop_breaks_the_command_off_and_stays_until_a_person_recovers():
+def test_user_stop_aborts_move_until_recovery():
     lab = Lab()
     outcome = lab.starts_moving()
     lab.mode = RobotMode.USER_STOPPED
@@ -268,7 +268,7 @@ def test_a_user_stop_breaks_the_command_off_and_stays_until_a_person_recovers():
     assert lab.sent[-1] is None
 
 
-def test_a_stop_breaks_the_command_off_at_once_and_the_arm_comes_to_rest():
+def test_stop_aborts_move_and_arm_comes_to_rest():
     lab = Lab()
     stop = StoppedBy("/operator")
     outcome = lab.starts_moving(stop=stop)
@@ -278,7 +278,7 @@ def test_a_stop_breaks_the_command_off_at_once_and_the_arm_comes_to_rest():
         lab.ends(outcome)
     before, speed = np.array(lab.pose.planar), lab.velocity[0]
     lab.passes(0.03)
-    assert lab.velocity[0] < speed - 0.02, "it brakes before the stop itself has its turn"
+    assert lab.velocity[0] < speed - 0.02, "the command brakes before the stop takes over"
     reached = lab.carries_out(lab.driver.stop)
     assert np.all(np.abs(reached.velocity) <= AT_REST)
     assert np.hypot(*(lab.pose.planar - before)[:2]) < 0.03
@@ -286,27 +286,27 @@ def test_a_stop_breaks_the_command_off_at_once_and_the_arm_comes_to_rest():
     np.testing.assert_array_equal(lab.velocity, 0.0)
 
 
-def test_a_stop_of_a_silent_robot_does_not_claim_that_it_stands_still():
+def test_stop_without_states_reports_unknown_rest():
     lab = Lab()
     lab.sends_states = False
     lab.passes(0.3)
-    with pytest.raises(ArmFailedError, match="whether the arm stands still is not known"):
+    with pytest.raises(ArmFailedError, match="unknown whether the arm is at rest"):
         lab.driver.stop()
 
 
-def test_a_stop_of_an_arm_that_somebody_else_moves_fast_does_not_claim_that_it_stands_still():
+def test_stop_of_jumping_arm_reports_unknown_rest():
     lab = Lab()
     lab.follows = False
     outcome = Outcome(lab.driver.stop)
-    while not outcome.is_there:
+    while not outcome.is_done:
         x, y, theta = lab.pose.planar
         lab.pose = lab.pose._replace(planar=(x, y + 0.02, theta))
         lab.passes(PERIOD)
-    with pytest.raises(ArmFailedError, match="its pose jumps from state to state"):
+    with pytest.raises(ArmFailedError, match="pose jumps from state to state"):
         outcome.raise_error()
 
 
-def test_after_a_stop_of_a_silent_robot_the_set_point_does_not_go_on_after_the_arm():
+def test_set_point_does_not_follow_arm_after_failed_stop():
     lab = Lab()
     lab.sends_states = False
     lab.passes(0.3)
@@ -320,10 +320,10 @@ def test_after_a_stop_of_a_silent_robot_the_set_point_does_not_go_on_after_the_a
     assert lab.sent[-1].planar == pytest.approx((x, y, theta))
 
 
-def test_a_command_of_an_arm_whose_ticks_have_ended_is_given_up():
+def test_move_fails_when_ticks_end():
     lab = Lab()
     outcome = Outcome(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())
-    wait_for(lambda: type(lab.driver._command).__name__ == "_Move")
+    wait_for(lambda: type(lab.driver._motion).__name__ == "Move")
     lab.now += 0.6
     with pytest.raises(ArmFailedError, match=r"no set-point was sent for 0\.5 s"):
         lab.ends(outcome)
@@ -334,12 +334,12 @@ def test_a_command_of_an_arm_whose_ticks_have_ended_is_given_up():
     [
         ({"height": 0.05}, r"0\.050 m above its height"),
         ({"height": -0.05}, r"0\.050 m below its height"),
-        ({"tilt": (0.0, 0.2)}, r"0\.20 rad away from straight down"),
-        ({"pose": (0.8, 0.0, 0.0)}, r"0\.175 outside of workspace/x"),
-        ({"pose": (0.5, 0.0, -2.9)}, r"0\.900 outside of workspace/theta"),
+        ({"tilt": (0.0, 0.2)}, r"tilted 0\.20 rad from straight down"),
+        ({"pose": (0.8, 0.0, 0.0)}, r"0\.175 m outside workspace/x"),
+        ({"pose": (0.5, 0.0, -2.9)}, r"0\.900 rad outside workspace/theta"),
     ],
 )
-def test_an_arm_that_is_far_off_its_place_is_not_moved_and_it_is_said_by_how_much(place, complaint):
+def test_motion_does_not_start_far_from_plane_or_workspace(place, complaint):
     lab = Lab(**place)
     with pytest.raises(ArmNotReadyError, match=complaint):
         lab.driver.move((0.0, 0.0, 0.0), 0.1, NeverStopped())
@@ -347,7 +347,7 @@ def test_an_arm_that_is_far_off_its_place_is_not_moved_and_it_is_said_by_how_muc
     assert lab.sent[-1] == lab.sent[1]
 
 
-def test_an_arm_that_is_a_little_off_is_put_right_while_it_moves():
+def test_small_pose_errors_are_corrected_during_motion():
     lab = Lab(pose=(0.64, 0.0, 0.0), height=0.02, tilt=(0.1, 0.0))
     lab.carries_out(lab.driver.go_to, (0.6, 0.0, 0.0), NeverStopped())
     lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 1.0, NeverStopped())
@@ -355,12 +355,12 @@ def test_an_arm_that_is_a_little_off_is_put_right_while_it_moves():
     assert lab.pose.tilt_angle < 0.02
 
 
-def test_an_arm_that_is_pushed_away_draws_its_set_point_after_it():
+def test_pushed_arm_pulls_set_point_along():
     lab = Lab()
     lab.follows = False
     for _ in range(40):
         x, y, theta = lab.pose.planar
         lab.pose = lab.pose._replace(planar=(x, y + 0.003, theta))
         lab.passes(PERIOD)
-    assert lab.driver.yields == 1
+    assert lab.driver.pulls == 1
     assert lab.driver.lead()[0] == pytest.approx(CONFIG.franka.max_lead, abs=0.004)

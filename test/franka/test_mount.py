@@ -1,4 +1,4 @@
-"""Camera poses from the robot's end effector poses and back, and what is no pose at all."""
+"""Conversion between end effector and camera poses, and invalid poses."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def column_major(position, rotation):
     return transform.T.ravel()
 
 
-def test_a_camera_in_the_end_effector_frame_looks_straight_down_at_yaw_zero():
+def test_identity_mount_looks_straight_down_at_yaw_zero():
     mount = CameraMount((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.4)
     pose = mount.camera_pose(column_major((0.5, 0.1, 0.42), np.diag([1.0, -1.0, -1.0])))
     assert pose.planar == pytest.approx((0.5, 0.1, 0.0))
@@ -32,8 +32,8 @@ def test_a_camera_in_the_end_effector_frame_looks_straight_down_at_yaw_zero():
     assert pose.tilt == pytest.approx((0.0, 0.0))
 
 
-def test_a_camera_beside_the_hand_is_seen_where_its_lens_is():
-    # 5 cm along the hand's x and 3 cm towards the table; the hand turned by a quarter, its x along the base's y.
+def test_camera_pose_includes_mount_offset():
+    # 5 cm along the hand's x and 3 cm towards the table; the hand turned by 90 degrees, its x along the base's y.
     mount = CameraMount((0.05, 0.0, 0.03), (0.0, 0.0, math.pi), 0.3)
     hand = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     pose = mount.camera_pose(column_major((0.5, 0.0, 0.33), hand))
@@ -41,7 +41,7 @@ def test_a_camera_beside_the_hand_is_seen_where_its_lens_is():
     assert pose.height == pytest.approx(0.0)
 
 
-def test_the_height_is_that_of_table_and_distance():
+def test_plane_height_is_table_height_plus_distance():
     mount = CameraMount.from_config(Config.from_dict({"franka": {"table_height": 0.1}, "camera": {"distance": 0.35}}))
     position, _ = mount.end_effector(CameraPose((0.5, 0.0, 0.0), 0.0, (0.0, 0.0)))
     assert position == pytest.approx((0.5, 0.0, 0.45))
@@ -49,7 +49,7 @@ def test_the_height_is_that_of_table_and_distance():
 
 @given(planar=planes, height=st.floats(-0.2, 0.2), tilt=tilts, offset=planes, rotation=rotations)
 @settings(max_examples=200, deadline=None)
-def test_whatever_the_mount_a_pose_comes_back_from_the_end_effector(planar, height, tilt, offset, rotation):
+def test_camera_pose_round_trip(planar, height, tilt, offset, rotation):
     mount = CameraMount(offset, rotation, 0.4)
     pose = mount.camera_pose(column_major(*mount.end_effector(CameraPose(planar, height, tilt))))
     np.testing.assert_allclose(pose.planar, planar, atol=1e-9)
@@ -60,7 +60,7 @@ def test_whatever_the_mount_a_pose_comes_back_from_the_end_effector(planar, heig
 
 @given(rotation=rotations)
 @settings(max_examples=200, deadline=None)
-def test_a_quaternion_is_the_same_rotation(rotation):
+def test_quaternion_represents_rotation(rotation):
     matrix = CameraMount((0.0, 0.0, 0.0), rotation, 0.0)._rotation
     x, y, z, w = quaternion(matrix)
     assert x * x + y * y + z * z + w * w == pytest.approx(1.0)
@@ -82,6 +82,6 @@ def test_a_quaternion_is_the_same_rotation(rotation):
         (column_major((0.5, 0.0, 0.4), np.eye(3)), "looks up"),
     ],
 )
-def test_what_is_no_pose_of_a_camera_that_looks_down_is_refused(end_effector, complaint):
+def test_invalid_end_effector_pose_is_rejected(end_effector, complaint):
     with pytest.raises(ObservationError, match=complaint):
         CameraMount((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.4).camera_pose(end_effector)

@@ -1,4 +1,4 @@
-"""Set-points keep every limit and stay near the arm, whatever is wanted, measured, late or missing."""
+"""Set-points respect every limit and stay near the arm for any input and any delay."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from embodied_active_learning.config import Config, load_profile
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.franka.mount import CameraPose
-from embodied_active_learning.franka.set_points import LONGEST_PERIOD, SetPointStream
+from embodied_active_learning.franka.set_points import MAX_PERIOD, SetPointStream
 from launching import ROOT
 
 CONFIG = Config.from_dict({"arm": {"robot": "franka"}})
@@ -30,7 +30,7 @@ velocities = st.one_of(
     st.tuples(*(st.floats(allow_nan=False, allow_infinity=False),) * 3),
 )
 places = st.tuples(*(st.floats(low, high) for low, high in zip(LOWER, UPPER)))
-periods = st.one_of(st.floats(0.005, LONGEST_PERIOD), st.sampled_from([PERIOD, 0.1, 3.0]))
+periods = st.one_of(st.floats(0.005, MAX_PERIOD), st.sampled_from([PERIOD, 0.1, 3.0]))
 
 
 def at(planar, height=0.0, tilt=LEVEL):
@@ -48,7 +48,7 @@ def planar(stream):
 
 
 class Follower:
-    """An arm that goes where set-points draw it, as a spring does: late, and not at all while it is held."""
+    """An arm that follows the set-points with a lag, as under a spring, and not at all while it is held."""
 
     def __init__(self, place):
         self.place = np.array(place, dtype=float)
@@ -67,7 +67,7 @@ legs = st.lists(
 
 @given(place=places, legs=legs, data=st.data())
 @settings(max_examples=100, deadline=None)
-def test_no_limit_is_ever_broken_whatever_is_wanted_and_however_late_the_ticks_are(place, legs, data):
+def test_all_limits_hold_for_any_command_and_tick_delay(place, legs, data):
     stream, arm = begun(place), Follower(place)
     measured = at(place)
     inside = False
@@ -80,7 +80,7 @@ def test_no_limit_is_ever_broken_whatever_is_wanted_and_however_late_the_ticks_a
                 stream.advance(wanted, measured, period)
             else:
                 getattr(stream, kind)(measured, period)
-            counted = min(period, LONGEST_PERIOD)
+            counted = min(period, MAX_PERIOD)
             assert np.isfinite(planar(stream)).all()
             assert np.all(np.abs(stream.velocity) <= TOP * (1.0 + ROUNDING))
             assert np.all(np.abs(stream.velocity - speed) <= counted * ACCELERATION * (1.0 + ROUNDING) + ROUNDING)
@@ -100,9 +100,7 @@ def test_no_limit_is_ever_broken_whatever_is_wanted_and_however_late_the_ticks_a
     wanted=velocities,
 )
 @settings(max_examples=100, deadline=None)
-def test_wherever_the_arm_is_pushed_the_set_point_is_never_far_from_it_and_yields_only_towards_it(
-    place, shoves, wanted
-):
+def test_pushed_arm_pulls_set_point_towards_itself_only(place, shoves, wanted):
     stream = begun(place)
     for dx, dy, turn, climb in shoves:
         measured = at(np.add(place, (dx, dy, turn)), climb)
@@ -117,16 +115,16 @@ def test_wherever_the_arm_is_pushed_the_set_point_is_never_far_from_it_and_yield
         assert np.all(nearer[leapt])
 
 
-def test_an_arm_that_is_held_makes_the_set_point_wait_within_its_lead():
+def test_set_point_waits_at_max_lead_of_blocked_arm():
     stream, place = begun(BOX.centre), BOX.centre
     for _ in range(300):
         step = stream.advance((0.1, 0.0, 0.5), at(place), PERIOD)
-    assert step.cut
+    assert step.limited
     np.testing.assert_allclose(planar(stream) - place, [LEADS[0], 0.0, LEADS[2]], atol=1e-6)
     np.testing.assert_allclose(stream.velocity, 0.0, atol=1e-6)
 
 
-def test_the_leads_of_the_robots_profile_allow_its_highest_speeds_at_the_lag_of_its_stiffness():
+def test_profile_leads_allow_top_speeds_at_controller_lag():
     config = Config.from_dict(load_profile(ROOT / "config" / "franka.yaml"))
     franka, arm = config.franka, config.arm
     for speed, acceleration, stiffness, lead in (
@@ -138,14 +136,14 @@ def test_the_leads_of_the_robots_profile_allow_its_highest_speeds_at_the_lag_of_
         assert lag * speed + speed**2 / (1.8 * acceleration) <= lead
 
 
-def test_a_tick_that_comes_late_counts_as_a_short_one():
+def test_late_tick_counts_as_max_period():
     late, soon = begun(BOX.centre), begun(BOX.centre)
     late.advance((0.1, 0.0, 0.0), at(BOX.centre), 5.0)
-    soon.advance((0.1, 0.0, 0.0), at(BOX.centre), LONGEST_PERIOD)
+    soon.advance((0.1, 0.0, 0.0), at(BOX.centre), MAX_PERIOD)
     np.testing.assert_array_equal(planar(late), planar(soon))
 
 
-def test_height_and_tilt_are_put_right_slowly():
+def test_height_and_tilt_are_corrected_slowly():
     stream = begun(BOX.centre, height=0.02, tilt=(0.1, -0.05))
     heights = []
     for _ in range(300):
@@ -157,7 +155,7 @@ def test_height_and_tilt_are_put_right_slowly():
     assert np.max(np.abs(np.diff(heights))) <= 0.02 * PERIOD + ROUNDING
 
 
-def test_a_braking_arm_outside_the_workspace_is_not_led_back_but_a_commanded_one_is():
+def test_only_commanded_motion_leads_back_into_workspace():
     outside = np.array([UPPER[0] + 0.03, 0.0, 0.0])
     stream = begun(outside)
     for _ in range(100):
@@ -168,7 +166,7 @@ def test_a_braking_arm_outside_the_workspace_is_not_led_back_but_a_commanded_one
     assert BOX.contains(planar(stream))
 
 
-def test_after_a_retreat_the_set_point_is_where_the_arm_is():
+def test_retreat_ends_at_measured_pose():
     stream, place = begun(BOX.centre), BOX.centre
     for _ in range(40):
         stream.advance((0.1, 0.0, 0.0), at(place), PERIOD)
@@ -179,12 +177,12 @@ def test_after_a_retreat_the_set_point_is_where_the_arm_is():
     assert stream.lead(at(place)) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def test_the_set_point_takes_the_short_way_round_to_a_yaw_that_was_measured_beyond_pi():
+def test_yaw_measured_beyond_pi_is_unwrapped():
     stream = begun((0.5, 0.0, 3.1))
     stream.brake(at((0.5, 0.0, 3.15 - 2.0 * math.pi)), PERIOD)
     assert planar(stream)[2] == pytest.approx(3.1)
 
 
-def test_nothing_is_integrated_before_a_pose_was_measured():
-    with pytest.raises(CommandError, match="no set-point to move on from"):
+def test_advance_before_begin_is_rejected():
+    with pytest.raises(CommandError, match="no set-point"):
         SetPointStream(CONFIG).advance((0.0, 0.0, 0.0), at(BOX.centre), PERIOD)

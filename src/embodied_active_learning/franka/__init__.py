@@ -1,1 +1,1 @@
-"""A real Panda behind franka_ros: all that decides how it moves, without ROS."""
+"""Motion of a real Panda under franka_ros, without ROS: set-points, readiness and the camera's mount."""

@@ -1,4 +1,4 @@
-"""Where the camera is when the end effector is somewhere, and the other way round: a camera in a fixed mount."""
+"""Conversion between end effector poses and camera poses for a camera in a fixed mount."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import fixed_axes_rotation, optical_rotation
 
 _ROTATION_TOLERANCE = 1e-2
-"""How far from orthonormal a rotation may be: franka_states is rounded, but not more than that."""
+"""Largest deviation from an orthonormal rotation: franka_states is rounded."""
 
 
 class CameraPose(NamedTuple):
-    """A pose of the camera, as its planar part and how far it is from a planar one.
+    """A pose of the camera: its planar part, and its deviation in height and tilt.
 
     The optical frame is exp(tilt) Rz(theta) Rx(pi), with a tilt about the base frame's x and y.
     """
 
     planar: Tuple[float, ...]  # x [m], y [m], theta [rad]
-    height: float  # [m] above the plane that the camera is to move in
+    height: float  # [m] above the plane of motion
     tilt: Tuple[float, ...]  # [rad] about x and about y
 
     @property
@@ -32,17 +32,17 @@ class CameraPose(NamedTuple):
 
 
 class CameraMount:
-    """A camera fixed to the end effector (EE), and the plane over the table in which it is to move."""
+    """A camera fixed to the end effector (EE), and the plane over the table in which it moves."""
 
     def __init__(self, position: Sequence[float], rotation: Sequence[float], height: float) -> None:
         """Position (3,) m of the optical frame in EE; its rotation: roll, pitch, yaw, rad; the plane's height, m."""
-        self._position = np.array(position, dtype=np.float64)
+        self._position: np.ndarray = np.array(position, dtype=np.float64)
         self._rotation = fixed_axes_rotation(rotation)
         self._height = height
 
     @classmethod
     def from_config(cls, config: Config) -> CameraMount:
-        """The mount of franka/, and a plane camera/distance above the table."""
+        """Return the mount given by franka/, with the plane camera/distance above the table."""
         franka = config.franka
         return cls(franka.camera_position, franka.camera_rotation, franka.table_height + config.camera.distance)
 
@@ -57,22 +57,22 @@ class CameraMount:
         return self._rotation
 
     def camera_pose(self, end_effector: Sequence[float]) -> CameraPose:
-        """O_T_EE, (16,) column by column, m -> the camera's pose, theta in [-pi, pi].
+        """Return the camera's pose, theta in [-pi, pi], for O_T_EE, (16,) column by column, m.
 
-        Raises ObservationError for what is no pose, and for a camera that does not look down at all.
+        Raises ObservationError for an invalid pose, and for a camera that looks up.
         """
-        transform = np.asarray(end_effector, dtype=np.float64).reshape(4, 4).T
+        transform: np.ndarray = np.asarray(end_effector, dtype=np.float64).reshape(4, 4).T
         rotation = transform[:3, :3]
         if not np.isfinite(transform).all():
-            raise ObservationError("the robot's pose holds values that are not finite")
+            raise ObservationError("invalid robot pose: values are not finite")
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_TOLERANCE):
-            raise ObservationError("the robot's pose is none: its rotation is not orthonormal")
+            raise ObservationError("invalid robot pose: rotation matrix is not orthonormal")
         optical = rotation @ self._rotation
         x, y, z = transform[:3, 3] + rotation @ self._position
         axis = optical[:, 2]
         if axis[2] >= 0.0:
             raise ObservationError(
-                "the camera looks up instead of down: see to franka/camera_rotation, or turn the hand by hand"
+                "the camera looks up instead of down: check franka/camera_rotation, or guide the hand by hand"
             )
         tilt = _tilt_of(axis)
         upright = _rotation_by(tilt).T @ optical
@@ -80,15 +80,15 @@ class CameraMount:
         return CameraPose((float(x), float(y), theta), float(z) - self._height, tilt)
 
     def end_effector(self, pose: CameraPose) -> Tuple[np.ndarray, np.ndarray]:
-        """The camera's pose -> position (3,) m and rotation (3, 3) of EE in the base frame."""
+        """Return position (3,) m and rotation (3, 3) of EE in the base frame for a camera pose."""
         x, y, theta = pose.planar
         rotation = _rotation_by(pose.tilt) @ optical_rotation(theta) @ self._rotation.T
         return np.array([x, y, self._height + pose.height]) - rotation @ self._position, rotation
 
 
 def quaternion(rotation: np.ndarray) -> Tuple[float, float, float, float]:
-    """Rotation (3, 3) -> unit quaternion x, y, z, w."""
-    # The largest of the four is computed first, so that no division is by a small number.
+    """Return the unit quaternion x, y, z, w of a rotation (3, 3)."""
+    # Start with the largest of the four to avoid division by a small number.
     trace = rotation.trace()
     squares = np.array([*(2.0 * rotation.diagonal() - trace), trace])
     largest = int(squares.argmax())
@@ -105,14 +105,14 @@ def quaternion(rotation: np.ndarray) -> Tuple[float, float, float, float]:
 
 
 def _tilt_of(axis: np.ndarray) -> Tuple[float, float]:
-    """The rotation about x and y, rad, that turns straight down into a unit axis (3,) pointing down."""
+    """Return the rotation about x and y [rad] from straight down to a unit axis (3,) that points down."""
     sine = math.hypot(axis[0], axis[1])
     factor = math.atan2(sine, -axis[2]) / sine if sine > 0.0 else 1.0
     return factor * float(axis[1]), -factor * float(axis[0])
 
 
 def _rotation_by(tilt: Sequence[float]) -> np.ndarray:
-    """(3, 3) rotation by a vector of length tilt [rad] in the plane of x and y."""
+    """Return the rotation (3, 3) about the vector tilt [rad] in the plane of x and y."""
     angle = math.hypot(*tilt)
     if angle == 0.0:
         return np.eye(3)

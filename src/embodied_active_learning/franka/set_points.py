@@ -1,4 +1,4 @@
-"""The stream of set-points: where an impedance controller is to draw the camera next, never far from where it is."""
+"""Stream of set-points for an impedance controller: planar velocities integrated within all limits."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from embodied_active_learning.franka.mount import CameraPose
 from embodied_active_learning.motion_limits import MotionLimits
 
 _MARGIN = 3e-3
-"""The set-point turns back this far inside the workspace (normalised): periods of wall time are not all alike, and
-braking is planned with the one that there is."""
-_LEVEL_SPEED, _LEVEL_TURN_RATE = 0.02, 0.1  # m/s, rad/s: at which height and tilt are put right
+"""Margin inside the workspace (normalised): periods of wall time vary, and braking is planned with the present one."""
+_LEVEL_SPEED, _LEVEL_TURN_RATE = 0.02, 0.1  # m/s, rad/s: of corrections of height and tilt
 _LEVEL_ACCELERATION, _LEVEL_TURN_ACCELERATION = 0.1, 0.5  # m/s^2, rad/s^2
-LONGEST_PERIOD = 0.02
-"""s: a tick that comes later counts as one of this, so that a late one slows the arm and never makes it leap."""
+MAX_PERIOD = 0.02
+"""s: longer ticks count as this, so that a late tick slows the arm and never makes it jump."""
 _REST = (0.0, 0.0, 0.0)
 
 
 class Step(NamedTuple):
-    """What became of a wanted velocity: whether limits cut it, and whether the arm was too far away to go on."""
+    """Whether limits changed the wanted velocity, and whether the arm pulled the set-point along."""
 
-    cut: bool
+    limited: bool
     pulled: bool
 
 
@@ -31,15 +30,15 @@ class SetPointStream:
     """Integrates planar velocities into set-points, with the limits of speed, acceleration and workspace.
 
     A set-point is never farther from the measured pose than franka/max_lead along each of x, y and z, and
-    franka/max_turn_lead about each: where the arm is held back it waits, and does not wind up. Height and tilt are
-    held, and what is wrong with them at the start is put right slowly. Where an arm is pushed away from its set-point
-    by more than that, the set-point is drawn after it; that alone is not limited in speed, as it lessens the force.
+    franka/max_turn_lead about each: if the arm is blocked, the set-point waits and does not wind up. Height and tilt
+    are held; their initial errors are corrected slowly. If the arm is pushed farther away, it pulls the set-point
+    along; only this is not limited in speed, because it reduces the force.
     """
 
     def __init__(self, config: Config) -> None:
         franka = config.franka
         self._limits = MotionLimits.from_config(config, _MARGIN)
-        self._levelling = MotionLimits(
+        self._level_limits = MotionLimits(
             _REST,
             _REST,
             (_LEVEL_SPEED, _LEVEL_TURN_RATE, _LEVEL_TURN_RATE),
@@ -49,49 +48,49 @@ class SetPointStream:
         self._level_leads = (franka.max_lead, franka.max_turn_lead, franka.max_turn_lead)
         self._planar: List[float] = []
         self._velocity: Sequence[float] = _REST
-        self._level: List[float] = []  # height and tilt, which are to become zero
+        self._level: List[float] = []  # errors of height and tilt
         self._level_velocity: Sequence[float] = _REST
 
     @property
     def limits(self) -> MotionLimits:
-        """What the set-points keep in x, y and theta."""
+        """Limits of the set-points in x, y and theta."""
         return self._limits
 
     @property
     def set_point(self) -> Optional[CameraPose]:
-        """The newest one; None before there is a measured pose to begin from."""
+        """The newest set-point; None before `begin`."""
         if not self._planar:
             return None
         return CameraPose(tuple(self._planar), self._level[0], (self._level[1], self._level[2]))
 
     @property
     def velocity(self) -> Tuple[float, ...]:
-        """(3,) m/s, m/s, rad/s that the newest set-point moves at."""
+        """Velocity (3,) of the set-point, m/s, m/s, rad/s."""
         return tuple(self._velocity)
 
     def begin(self, measured: CameraPose) -> None:
-        """Begin anew where the arm is, at rest: no force draws it anywhere."""
+        """Start at the measured pose, at rest: no force acts."""
         self._planar, self._level = list(measured.planar), [measured.height, *measured.tilt]
         self._velocity = self._level_velocity = _REST
 
     def end(self) -> None:
-        """Forget the set-point; nothing moves on from it."""
+        """Discard the set-point."""
         self._planar, self._level = [], []
         self._velocity = self._level_velocity = _REST
 
     def lead(self, measured: CameraPose) -> Tuple[float, float]:
-        """How far the set-point is from a measured pose: m, in the plane, and rad."""
+        """Return the distance of the set-point from a measured pose: m, in the plane, and rad."""
         x, y, theta = (goal - at for goal, at in zip(self._planar, measured.planar))
         return math.hypot(x, y), abs(math.remainder(theta, 2.0 * math.pi))
 
     def approach(self, target: Sequence[float], period: float) -> List[float]:
-        """The velocity (3,) to want for a period, s, in order to go straight to a target (3,), and stop there."""
+        """Return the velocity (3,) for a period [s] that leads straight to a target (3,), and stops there."""
         return self._limits.approach(self._planar, target, period)
 
     def advance(self, wanted: Sequence[float], measured: CameraPose, period: float) -> Step:
-        """Move the set-point on at the legal velocity next to a wanted one (3,) for a period, s.
+        """Advance the set-point for a period [s] at the legal velocity closest to a wanted one (3,).
 
-        Raises CommandError for what is not finite, and before begin was called.
+        Raises CommandError for values that are not finite, and before `begin`.
         """
         lower, upper = self._box(measured)
         boxed = [
@@ -101,12 +100,12 @@ class SetPointStream:
         return self._move(wanted, [low for low, _ in boxed], [high for _, high in boxed], measured, period, level=True)
 
     def brake(self, measured: CameraPose, period: float) -> Step:
-        """Bring the set-point to rest for a period, s, where it is: also from outside it is not led back."""
+        """Brake the set-point for a period [s]; from outside the workspace it is not led back."""
         lower, upper = self._box(measured)
         return self._move(_REST, lower, upper, measured, period, level=False)
 
     def retreat(self, measured: CameraPose, period: float) -> Step:
-        """Bring the set-point to rest at the measured pose: the arm stops shorter than by braking alone."""
+        """Bring the set-point to rest at the measured pose, which stops the arm sooner than braking."""
         lower, upper = self._box(measured)
         target = [(low + high) / 2.0 for low, high in zip(lower, upper)]
         return self._move(self.approach(target, period), lower, upper, measured, period, level=False)
@@ -121,28 +120,28 @@ class SetPointStream:
         level: bool,
     ) -> Step:
         if not self._planar:
-            raise CommandError("there is no set-point to move on from: no pose of the robot was measured yet")
-        period = min(period, LONGEST_PERIOD)
+            raise CommandError("no set-point: no pose of the robot has been received yet")
+        period = min(period, MAX_PERIOD)
         legal = self._limits.within(lower, upper).next_velocity(self._planar, self._velocity, wanted, period)
         self._velocity = legal.velocity
         moved = [at + period * speed for at, speed in zip(self._planar, legal.velocity)]
         self._planar = [min(max(at, low), high) for at, low, high in zip(moved, *self._box(measured))]
         pulled = self._planar != moved
-        self._hold_level(measured, period, level)
+        self._correct_level(measured, period, level)
         return Step(legal.cut or pulled, pulled)
 
-    def _hold_level(self, measured: CameraPose, period: float, correct: bool) -> None:
+    def _correct_level(self, measured: CameraPose, period: float, correct: bool) -> None:
         at = (measured.height, *measured.tilt)
         lower = [middle - lead for middle, lead in zip(at, self._level_leads)]
         upper = [middle + lead for middle, lead in zip(at, self._level_leads)]
-        wanted = self._levelling.approach(self._level, _REST, period) if correct else _REST
-        limits = self._levelling.within(lower, upper)
+        wanted = self._level_limits.approach(self._level, _REST, period) if correct else _REST
+        limits = self._level_limits.within(lower, upper)
         self._level_velocity = limits.next_velocity(self._level, self._level_velocity, wanted, period).velocity
         moved = [place + period * speed for place, speed in zip(self._level, self._level_velocity)]
         self._level = [min(max(place, low), high) for place, low, high in zip(moved, lower, upper)]
 
     def _box(self, measured: CameraPose) -> Tuple[List[float], List[float]]:
-        """The box around a measured pose that the set-point must be in: lower and upper, (3,) each."""
+        """Return the box around a measured pose that must contain the set-point: lower and upper, (3,) each."""
         x, y, theta = measured.planar
         here = self._planar[2] if self._planar else theta
         middle = (x, y, here + math.remainder(theta - here, 2.0 * math.pi))
@@ -153,7 +152,7 @@ class SetPointStream:
 
 
 def _common(low: float, high: float, inner_low: float, inner_high: float) -> Tuple[float, float]:
-    """The part of [low, high] inside [inner_low, inner_high]; where there is none, the point of it that is nearest."""
+    """Return [low, high] intersected with [inner_low, inner_high], or the nearest point of it if they are disjoint."""
     if low > inner_high:
         return low, low
     if high < inner_low:

@@ -19,7 +19,11 @@ USB_CAM_INFO = "usb_cam/camera_info"
 # Of franka_ros, as a Panda's own launch file names them.
 FRANKA_STATES = "franka_state_controller/franka_states"
 FRANKA_SET_POINT = "cartesian_impedance_example_controller/equilibrium_pose"
-FRANKA_COMPLIANCE = "cartesian_impedance_example_controller/dynamic_reconfigure_compliance_param_node"
+# franka_ros 0.9.1 and newer, 0.8.0 to 0.9.0.
+FRANKA_STIFFNESS = (
+    "cartesian_impedance_example_controller/dynamic_reconfigure_compliance_param_node/set_parameters",
+    "cartesian_impedance_example_controllerdynamic_reconfigure_compliance_param_node/set_parameters",
+)
 FRANKA_RECOVERY = "franka_control/error_recovery"
 FRANKA_COLLISION = "franka_control/set_full_collision_behavior"
 FRANKA_LOAD = "franka_control/set_load"

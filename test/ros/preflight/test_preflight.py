@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.franka.readiness import CONTROLLER, Controller
+from embodied_active_learning.franka.report import CONTROLLER, Controller
 from embodied_active_learning.geometry import intrinsics
 from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
 from embodied_active_learning.ros.preflight.check_result import (

@@ -1,4 +1,4 @@
-"""Keeps the robot fit to be moved: prepares it, watches its controllers, and recovers it from reflexes."""
+"""Supervisor of the Panda: prepares it, checks its controllers, and recovers it from reflexes."""
 
 from __future__ import annotations
 
@@ -11,140 +11,172 @@ import rospy
 from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import ArmNotReadyError, RobotError
 from embodied_active_learning.franka.driver import FrankaDriver
-from embodied_active_learning.franka.readiness import CONTROLLER, Condition
-from embodied_active_learning.ros.arm.franka_interface import FrankaInterface, set_stiffness_parameters
+from embodied_active_learning.franka.report import CONTROLLER, Condition
+from embodied_active_learning.ros.arm.franka_interface import FrankaInterface
 from embodied_active_learning.ros.runtime.timers import WallTimer
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 
 PERIOD = 0.1
-"""Wall seconds between two looks at what is to be done."""
+"""Wall seconds between two checks of the robot's readiness."""
 CONTROLLERS_PERIOD = 1.0
-"""Wall seconds between two questions for the controllers."""
-_READY_TIMEOUT = 5.0  # s after which a robot that was prepared or recovered is to follow
-_PASSING = (Condition.STARTING, Condition.UNHEARD, Condition.RECOVERING)
+"""Wall seconds between two requests for the list of controllers."""
+_READY_TIMEOUT = 5.0  # s that a prepared or recovered robot may take to follow its controller
+_TRANSIENT = (Condition.STARTING, Condition.NO_SUBSCRIBER, Condition.RECOVERING)
 _REST_TIMEOUT = 5.0  # s
-_LOOK = 0.02  # s
+_REST_PERIOD = 0.02  # s between two checks for rest
 
 
 class FrankaSupervisor:
-    """A thread of its own that does what needs no person, and what a person asks for by recover.
+    """Keeps the robot ready: automatically where no person is needed, otherwise on request through `recover`.
 
-    Another's controller is never stopped, since its motion may not bear being cut off: who started it is asked to stop
-    it. Our own is stopped only at rest, in order to set what the robot takes with no controller running.
+    Controllers of others are never stopped, since their motion may not tolerate it: their owner is asked to. Our own is
+    stopped only at rest, for settings that the robot accepts only without a controller.
     """
 
-    def __init__(self, link: FrankaInterface, driver: FrankaDriver, config: FrankaConfig) -> None:
-        self._link = link
+    def __init__(self, interface: FrankaInterface, driver: FrankaDriver, config: FrankaConfig) -> None:
+        self._interface = interface
         self._driver = driver
         self._config = config
-        self._hands = threading.Lock()  # held by the thread that has the robot do something
-        self._asked_at = -CONTROLLERS_PERIOD
-        WallTimer(PERIOD, self.look)
-        threading.Thread(target=self._say_what_is_awaited, daemon=True).start()
+        self._lock = threading.Lock()  # held by the thread that makes the robot do something
+        self._controllers_at = -CONTROLLERS_PERIOD
+        WallTimer(PERIOD, self.check)
+        threading.Thread(target=self._log_why_not_ready, daemon=True).start()
 
-    def look(self) -> None:
-        """Ask for the controllers now and then; prepare the robot, or recover it, when it is time to."""
-        with self._hands:
-            if time.monotonic() >= self._asked_at + CONTROLLERS_PERIOD:
-                self.see_controllers()
+    def check(self) -> None:
+        """Update the controllers periodically; prepare or recover the robot when it is time to."""
+        with self._lock:
+            if time.monotonic() >= self._controllers_at + CONTROLLERS_PERIOD:
+                self.update_controllers()
             with self._driver.lock:
                 prepare, recover = self._driver.readiness.needs_preparation, self._driver.readiness.needs_recovery
             if prepare:
-                self._prepare()
+                self._try_prepare()
             elif recover:
-                self._recover()
+                self._try_recover()
 
     def recover(self) -> None:
-        """A person has looked at the robot, and has it go on.
+        """Make the robot ready at the request of a person who has checked it.
 
-        Raises ArmNotReadyError where it still cannot, and RobotError where it refuses.
+        Raises:
+            ArmNotReadyError: The robot is still not ready.
+            RobotError: The robot rejected a request.
         """
-        with self._hands:
+        with self._lock:
             with self._driver.lock:
                 self._driver.readiness.release()
             self._settle()
-            if self._condition() is Condition.REFLEX:
-                self._recover_now()
-                self._settle()
-            if self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
-                self._prepare_now()  # a franka_control that was started anew knows nothing of before
+            prepare = False
+            if self._condition() in (Condition.REFLEX, Condition.HELD):
+                prepare = self._clear_errors()
+            if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
+                self._prepare()  # a restarted franka_control has lost all settings
             self._settle()
             if self._condition() is not Condition.READY:
                 raise ArmNotReadyError(self._driver.why_not_ready())
 
-    def see_controllers(self) -> None:
-        """Tell the driver which controllers there are, and who else sends set-points."""
-        self._asked_at = time.monotonic()
+    def update_controllers(self) -> None:
+        """Pass the list of controllers and the set-points' publishers and subscribers on to the driver."""
+        self._controllers_at = time.monotonic()
         try:
-            controllers = self._link.controllers()
+            controllers = self._interface.controllers()
         except RobotError as error:
             rospy.logdebug("%s", error)
             controllers = None
+        publishers = tuple(self._interface.other_publishers())
         self._driver.update_control(
-            controllers=controllers, rivals=tuple(self._link.rivals()), heard=self._link.is_heard
+            controllers=controllers, publishers=publishers, has_subscriber=self._interface.has_subscriber
         )
 
     def _condition(self) -> Condition:
-        self._driver.why_not_ready()  # by what is known now
+        self._driver.why_not_ready()  # updates it
         with self._driver.lock:
             return self._driver.readiness.condition
 
-    def _settle(self) -> None:
-        """Let pass what passes by itself: a controller that was just started, a connection that was just made."""
-        ends_at = time.monotonic() + _READY_TIMEOUT
-        self.see_controllers()
-        while self._condition() in _PASSING and time.monotonic() < ends_at:
-            self._driver.wait_until_ready(PERIOD)
-            self.see_controllers()
+    def _has_error(self) -> bool:
+        with self._driver.lock:
+            return self._driver.readiness.has_error
 
-    def _prepare(self) -> None:
+    def _settle(self) -> None:
+        """Wait for transient conditions to pass, for instance of a controller that was just started."""
+        deadline = time.monotonic() + _READY_TIMEOUT
+        self.update_controllers()
+        while self._condition() in _TRANSIENT and time.monotonic() < deadline:
+            self._driver.wait_until_ready(PERIOD)
+            self.update_controllers()
+
+    def _clear_errors(self) -> bool:
+        """Recover the robot from its errors -> whether it has to be prepared again. Raises RobotError.
+
+        franka_control from 0.10.2 on recovers only from errors that have ended a motion of its own. It ignores one from
+        before its start until a controller is started and its motion is rejected.
+        """
+        self._recover()
+        self._settle()
+        if not self._has_error():
+            return False
+        rospy.logwarn("the robot still reports its error: starting %s so that franka_control notices it", CONTROLLER)
+        ours = self._interface.controllers().get(CONTROLLER)
+        if ours is None:
+            self._interface.load()
+        if ours is None or not ours.is_active:
+            self._interface.start()
+        self._recover()
+        self._settle()
+        if self._has_error():
+            with self._driver.lock:
+                errors = self._driver.readiness.report.error_names
+            raise RobotError(
+                f"the robot still reports {errors} after the recovery: press and release the user stop, or lock and "
+                "unlock the joints in Desk, then call /arm/recover"
+            )
+        return True
+
+    def _try_prepare(self) -> None:
         try:
-            self._prepare_now()
+            self._prepare()
         except RobotError as error:
             rospy.logerr("%s", error)
             with self._driver.lock:
-                self._driver.readiness.not_prepared(str(error))
+                self._driver.readiness.set_unprepared(str(error))
 
-    def _prepare_now(self) -> None:
+    def _prepare(self) -> None:
         """Set collision behaviour, load and stiffness, and start the controller. Raises RobotError."""
-        ours = self._link.controllers().get(CONTROLLER)
-        if ours is not None and ours.drives:
+        ours = self._interface.controllers().get(CONTROLLER)
+        if ours is not None and ours.is_active:
             self._wait_for_rest()
-            self._link.stop()
+            self._interface.stop()
         self._wait_for_end_of_motion()
-        self._link.set_collision_behaviour(self._config)
-        if self._config.load_mass > 0.0:
-            self._link.set_load(self._config)
-        if set_stiffness_parameters(self._config) and ours is not None:
-            self._link.unload()
-            ours = None
+        self._interface.set_collision_behaviour(self._config)
+        self._interface.set_load(self._config)
         if ours is None:
-            self._link.load()
-        self._link.start()
+            self._interface.load()
+        self._interface.set_stiffness(self._config)
+        self._interface.start()
         with self._driver.lock:
-            self._driver.readiness.prepared()
-        self.see_controllers()
+            self._driver.readiness.set_prepared()
+        self.update_controllers()
         rospy.loginfo(
-            "the robot is prepared: %g N/m, %g Nm/rad; collision limits %s Nm, %s N and Nm",
+            "robot prepared: stiffness %g N/m and %g Nm/rad, collision limits %s Nm and %s N, Nm, load %g kg",
             self._config.stiffness,
             self._config.turn_stiffness,
             list(self._config.torque_limits),
             list(self._config.force_limits),
+            self._config.load_mass,
         )
 
     def _wait_for_rest(self) -> None:
-        """An arm that another node has left in motion, until it stands still. Raises RobotError."""
-        with log_wait(lambda: "the arm to come to rest, before its controller is started anew"):
-            if not _comes_about(self._driver.is_at_rest):
+        """Wait until the arm, which another node may have left in motion, is at rest. Raises RobotError."""
+        with log_wait(lambda: "the arm to come to rest before its controller is restarted"):
+            if not _wait_until(self._driver.is_at_rest):
                 raise RobotError(
-                    f"{CONTROLLER} moves the arm, and not for this node: end whatever drives it, then call /arm/recover"
+                    f"{CONTROLLER} moves the arm on behalf of another node: stop that node, then call /arm/recover"
                 )
 
     def _wait_for_end_of_motion(self) -> None:
-        """A robot whose controller was stopped, until it takes settings: it is a while in Move. Raises RobotError."""
-        if not _comes_about(lambda: not self._is_in_motion()):
+        """Wait until a robot whose controller was stopped leaves mode Move and accepts settings. Raises RobotError."""
+        if not _wait_until(lambda: not self._is_in_motion()):
             raise RobotError(
-                "the robot is still in mode Move, although no controller moves it: look at franka_control, then call "
+                "the robot is still in mode Move although no controller moves it: check franka_control, then call "
                 "/arm/recover"
             )
 
@@ -152,33 +184,33 @@ class FrankaSupervisor:
         with self._driver.lock:
             return self._driver.readiness.is_in_motion
 
-    def _recover(self) -> None:
+    def _try_recover(self) -> None:
         try:
-            self._recover_now()
+            self._recover()
         except RobotError as error:
             rospy.logwarn("%s", error)
 
-    def _recover_now(self) -> None:
-        """Have the robot recover from its errors; its controllers begin anew where the arm is. Raises RobotError."""
+    def _recover(self) -> None:
+        """Recover from errors; the running controllers restart where the arm is. Raises RobotError."""
         with self._driver.lock:
             readiness = self._driver.readiness
-            errors = readiness.errors_in_words
+            errors = readiness.report.error_names
             readiness.begin_recovery()
-        rospy.logwarn("the robot is in a reflex (%s) and is recovered from it now", errors)
-        refusal = "it was broken off"
+        rospy.logwarn("robot reflex (%s): recovering", errors)
+        failure = "aborted"
         try:
-            self._link.recover()
-            refusal = ""
+            self._interface.recover()
+            failure = ""
         except RobotError as error:
-            refusal = str(error)
+            failure = str(error)
             raise
         finally:
-            self.see_controllers()
+            self.update_controllers()
             with self._driver.lock:
-                readiness.end_recovery(refusal)
+                readiness.end_recovery(failure)
 
-    def _say_what_is_awaited(self) -> None:
-        """Name what the robot lacks as long as it lacks something."""
+    def _log_why_not_ready(self) -> None:
+        """Log what the robot waits for, as long as it is not ready."""
         while not rospy.is_shutdown():
             time.sleep(PERIOD)
             if not self._driver.why_not_ready():
@@ -188,11 +220,11 @@ class FrankaSupervisor:
                     time.sleep(PERIOD)
 
 
-def _comes_about(condition: Callable[[], bool]) -> bool:
-    """Whether a condition holds before _REST_TIMEOUT has passed."""
-    ends_at = time.monotonic() + _REST_TIMEOUT
+def _wait_until(condition: Callable[[], bool]) -> bool:
+    """Wait up to _REST_TIMEOUT for a condition -> whether it holds."""
+    deadline = time.monotonic() + _REST_TIMEOUT
     while not condition():
-        if time.monotonic() >= ends_at:
+        if time.monotonic() >= deadline:
             return False
-        time.sleep(_LOOK)
+        time.sleep(_REST_PERIOD)
     return True

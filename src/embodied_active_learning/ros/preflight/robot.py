@@ -8,7 +8,7 @@ from typing import List, Mapping, Sequence
 import numpy as np
 
 from embodied_active_learning.config import REAL, Config
-from embodied_active_learning.franka.readiness import CONTROLLER, Controller, RobotMode
+from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.workspace import STATE_NAMES
 
