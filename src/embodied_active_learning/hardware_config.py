@@ -35,6 +35,7 @@ class CameraConfig:
     height: int = setting(180, "image height", "px", 8, 4096)
     field_of_view: float = setting(30.0, "vertical field of view", "deg", 1.0, 150.0)
     distance: float = setting(0.3, "height of the camera above the table", "m", 0.05, 2.0)
+    latency: float = setting(0.0, "time from the exposure of an image to its stamp", "s", 0.0, 0.5)
     max_age: float = setting(1.0, "hold the arm if the newest image or pose is older", "s", 0.05, 60.0)
     allow_featureless: bool = setting(False, "accept images of a single colour; otherwise they hold the arm")
 
@@ -72,6 +73,7 @@ class SimulationConfig:
 class FrankaConfig:
     """A real Panda under franka_ros: mounting, contact limits and recovery."""
 
+    arm_id: str = setting("panda", "prefix of the robot's frames and joints", choices=("panda", "fr3"))
     table_height: float = setting(0.0, "height of the table surface in the base frame", "m", -1.0, 1.0)
     camera_position: Tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "optical centre of the camera in the end effector frame (EE)", "m", -0.5, 0.5, length=3
@@ -86,7 +88,7 @@ class FrankaConfig:
     )
     rate: float = setting(100.0, "set-points per second sent to the impedance controller", "Hz", 20.0, 500.0)
     max_lead: float = setting(0.05, "largest distance from measured pose to set-point along each axis", "m", 0.005, 0.1)
-    max_turn_lead: float = setting(0.3, "largest yaw from measured pose to set-point", "rad", 0.02, 0.6)
+    max_turn_lead: float = setting(0.5, "largest yaw from measured pose to set-point", "rad", 0.02, 0.6)
     max_height_error: float = setting(0.03, "largest height error of the camera at the start of a move", "m", 1e-3, 0.2)
     max_tilt: float = setting(
         0.15, "largest angle of the optical axis from the vertical at the start of a move", "rad", 0.005, 0.5
@@ -100,7 +102,7 @@ class FrankaConfig:
     tolerance: float = setting(0.015, "position error at rest that counts as reached", "m", 0.001, 0.1)
     turn_tolerance: float = setting(0.1, "yaw error at rest that counts as reached", "rad", 0.005, 0.5)
     stiffness: float = setting(200.0, "translational stiffness of the impedance controller", "N/m", 50.0, 400.0)
-    turn_stiffness: float = setting(10.0, "rotational stiffness of the impedance controller", "Nm/rad", 2.0, 30.0)
+    turn_stiffness: float = setting(30.0, "rotational stiffness of the impedance controller", "Nm/rad", 2.0, 30.0)
     state_max_age: float = setting(0.2, "hold the arm if the newest robot state is older", "s", 0.02, 2.0)
     coast: float = setting(0.2, "time after a move during which its velocity is kept before braking", "s", 0.0, 1.0)
     recoveries: int = setting(
@@ -122,7 +124,9 @@ class FrankaConfig:
         100.0,
         length=6,
     )
-    load_mass: float = setting(0.0, "mass of camera and mount, unless set in Desk", "kg", 0.0, 3.0)
+    load_mass: float = setting(
+        0.0, "mass of camera and mount, unless set in Desk; 0 clears a load set earlier", "kg", 0.0, 3.0
+    )
     load_centre: Tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "centre of mass of that load in the flange frame", "m", -0.5, 0.5, length=3
     )

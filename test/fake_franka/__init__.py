@@ -1,1 +1,1 @@
-"""A stand-in for franka_ros, for tests and for trying things out without a robot. See README.md."""
+"""A simulated franka_ros, for tests and for trials without a robot. See README.md."""

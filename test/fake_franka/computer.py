@@ -1,4 +1,4 @@
-"""The computer that franka_control runs on: whether it answers, and what it does at a rate."""
+"""The computer that runs franka_control: whether it responds, and its periodic tasks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import rospy
 
 
 class Computer:
-    """Everything that it offers goes through here, so that all of it can be dead at once."""
+    """All services pass through here, so that they can fail together."""
 
     def __init__(self) -> None:
         self._alive = threading.Event()
@@ -18,23 +18,23 @@ class Computer:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it publishes and hears."""
+        """Whether it publishes and receives."""
         return self._alive.is_set()
 
     def die(self) -> None:
-        """Say nothing and answer nothing from now on."""
+        """Publish nothing and respond to nothing from now on."""
         self._alive.clear()
 
     def revive(self) -> None:
-        """Go on, with the questions that have been asked meanwhile."""
+        """Resume, and process the requests that have arrived meanwhile."""
         self._alive.set()
 
     def wait(self) -> None:
-        """Return while it lives: who has asked a dead computer waits for the answer."""
+        """Wait until it is alive."""
         self._alive.wait()
 
     def offer(self, name: str, kind: Any, answer: Callable[[Any], Any]) -> rospy.Service:
-        """A service that is answered while the computer lives."""
+        """Offer a service that responds while the computer is alive."""
 
         def answered(request: Any) -> Any:
             self.wait()
@@ -44,7 +44,7 @@ class Computer:
 
 
 class Every:
-    """Calls a function in a thread of its own at a rate that may change, by the wall clock, until the node ends."""
+    """Calls a function in a thread at a variable rate of wall time until the node ends."""
 
     def __init__(self, rate: Callable[[], float], function: Callable[[], None]) -> None:
         """rate: in Hz."""
@@ -63,4 +63,4 @@ class Every:
             try:
                 self._function()
             except rospy.ROSException:
-                return  # topics are closed under the feet of whoever still publishes
+                return  # topics are closed while the node shuts down

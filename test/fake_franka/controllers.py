@@ -1,4 +1,4 @@
-"""controller_manager as franka_control runs it: what is loaded, what runs, and what may run together."""
+"""controller_manager of franka_control: loaded and running controllers and their conflicts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CARTESIAN_VELOCITY = "franka_hw::FrankaVelocityCartesianInterface"
 _STATE = ("franka_hw::FrankaStateInterface", ())
 
 Claims = Tuple[Tuple[str, Tuple[str, ...]], ...]
-"""Each hardware interface with the resources that are claimed through it."""
+"""Each hardware interface with the resources claimed through it."""
 
 TYPES: Dict[str, Claims] = {
     STATE_TYPE: (_STATE,),
@@ -32,7 +32,7 @@ TYPES: Dict[str, Claims] = {
     "position_controllers/JointTrajectoryController": ((_POSITION, JOINTS),),
     "effort_controllers/JointTrajectoryController": ((_EFFORT, JOINTS),),
 }
-"""Controllers that are known, by type."""
+"""Claims of the known controller types."""
 
 DEFAULT_CONTROLLERS: Dict[str, Dict[str, Any]] = {
     "franka_state_controller": {"type": STATE_TYPE, "publish_rate": 30, "joint_names": list(JOINTS), "arm_id": "panda"},
@@ -45,16 +45,16 @@ DEFAULT_CONTROLLERS: Dict[str, Dict[str, Any]] = {
         "joints": list(JOINTS),
     },
 }
-"""What franka_control.launch puts on the parameter server."""
+"""Parameters that franka_control.launch sets."""
 
 
 class ControllerError(Exception):
-    """What was asked of the controller manager is refused; the message is what it logs."""
+    """The controller manager rejected a request; the message is the one it logs."""
 
 
 @dataclass
 class Controller:
-    """One that is loaded."""
+    """A loaded controller."""
 
     name: str
     type: str
@@ -62,29 +62,29 @@ class Controller:
 
     @property
     def claims(self) -> Claims:
-        """What it claims while it runs."""
+        """Claims while it runs."""
         return TYPES[self.type]
 
     @property
     def moves_the_arm(self) -> bool:
-        """Whether it claims anything at all."""
+        """Whether it claims any resource."""
         return any(resources for _, resources in self.claims)
 
 
 class ControllerManager:
-    """Not for several threads at once."""
+    """Loads, unloads and switches controllers; not thread-safe."""
 
     def __init__(
         self, parameters: Callable[[str], Optional[Mapping[str, Any]]], refused: Callable[[], Iterable[str]]
     ) -> None:
-        """parameters: what the parameter server has for a controller; refused: names that fail to initialise."""
+        """parameters: returns a controller's parameters; refused: returns the names that fail to initialise."""
         self._parameters = parameters
         self._refused = refused
         self._loaded: Dict[str, Controller] = {}
 
     @property
     def loaded(self) -> List[Controller]:
-        """All, in the order in which they were loaded."""
+        """All loaded controllers in the order of loading."""
         return list(self._loaded.values())
 
     @property
@@ -97,7 +97,7 @@ class ControllerManager:
         return any(one.state == RUNNING and one.type == kind for one in self.loaded)
 
     def load(self, name: str) -> Controller:
-        """Load a controller whose parameters are there. Raises ControllerError."""
+        """Load a controller. Raises ControllerError, for instance without its parameters."""
         if name in self._loaded:
             raise ControllerError(f"A controller named '{name}' was already loaded inside the controller manager")
         values = self._parameters(name) or {}
@@ -119,7 +119,7 @@ class ControllerManager:
         return controller
 
     def unload(self, name: str) -> Controller:
-        """Forget a controller that does not run. Raises ControllerError."""
+        """Unload a controller that does not run. Raises ControllerError."""
         if name not in self._loaded:
             raise ControllerError(
                 f"Could not unload controller with name '{name}' because no controller with this name exists"
@@ -129,7 +129,7 @@ class ControllerManager:
         return self._loaded.pop(name)
 
     def switch(self, start: Iterable[str], stop: Iterable[str], strictness: int) -> bool:
-        """Stop some and start others, all or, under STRICT, none -> whether what moves the arm has changed.
+        """Stop and start controllers, under STRICT all or none -> whether a controller that moves the arm is affected.
 
         Raises ControllerError, with nothing changed.
         """
@@ -167,9 +167,9 @@ class ControllerManager:
 
 
 def check_conflicts(controllers: Iterable[Controller]) -> None:
-    """FrankaHW's rule: a joint may be claimed twice when once for its torque, and joints or hand, not both, otherwise.
+    """Check for conflicts as FrankaHW does: a joint may be claimed twice if exactly one claim is for its torque.
 
-    So an effort controller and a trajectory controller of positions do run together. Raises ControllerError.
+    So an effort controller and a position controller may run together. Raises ControllerError.
     """
     interfaces: Dict[str, List[str]] = {}
     for controller in controllers:

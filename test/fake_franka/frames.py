@@ -1,4 +1,4 @@
-"""The frames at the end of the arm, as (4, 4) matrices, and what hangs there."""
+"""Frames at the end of the arm as (4, 4) matrices, and the load."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _IDENTITY = np.eye(4).ravel().tolist()
 
 
 class Frames:
-    """Flange, nominal end effector NE, end effector EE, stiffness frame K, and the camera, which sits on the flange."""
+    """Flange, nominal end effector NE, end effector EE, stiffness frame K, and the camera, fixed to the flange."""
 
     def __init__(self, config: Config) -> None:
-        """As the robot's configuration has them: ~F_T_NE and ~NE_T_EE, column by column, and config's camera mount."""
+        """Read ~F_T_NE and ~NE_T_EE, column by column, and the camera mount of config."""
         self.flange_to_nominal = from_columns(rospy.get_param("~F_T_NE", _IDENTITY))
         self.nominal_to_ee = from_columns(rospy.get_param("~NE_T_EE", _IDENTITY))
         self.ee_to_stiffness = np.eye(4)
@@ -37,22 +37,22 @@ class Frames:
         return self.flange_to_nominal @ self.nominal_to_ee
 
     def flange(self, position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
-        """The flange where the end effector is at a position (3,) with a quaternion (4,)."""
+        """Return the flange for an end effector at a position (3,) with a quaternion (4,)."""
         return matrix_of(position, orientation) @ np.linalg.inv(self.flange_to_ee)
 
     def camera(self, position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
-        """The camera where the end effector is there."""
+        """Return the camera for an end effector at a position (3,) with a quaternion (4,)."""
         return self.flange(position, orientation) @ self._flange_to_camera
 
     def ee_with_camera_at(self, x: float, y: float, theta: float) -> np.ndarray:
-        """The end effector when the camera looks straight down from a planar pose, m, m, rad, at its height."""
+        """Return the end effector for a camera that looks straight down from a planar pose [m, m, rad] at its height."""
         camera = np.eye(4)
         camera[:3, :3] = optical_rotation(theta)
         camera[:3, 3] = x, y, self._camera_height
         return camera @ np.linalg.inv(self._flange_to_camera) @ self.flange_to_ee
 
     def outside(self, position: Sequence[float], orientation: Sequence[float]) -> Tuple[float, float]:
-        """How far the camera is beyond the workspace, in x or in y, and off its height, m."""
+        """Return how far the camera is outside the workspace in x or y, and off its height, m."""
         x, y, z = self.camera(position, orientation)[:3, 3].tolist()
         (x0, x1), (y0, y1) = self._config.workspace.x, self._config.workspace.y
         return max(x0 - x, x - x1, y0 - y, y - y1, 0.0), abs(z - self._camera_height)
@@ -63,12 +63,12 @@ class Frames:
 
 
 def from_columns(values: Sequence[float]) -> np.ndarray:
-    """(4, 4) of 16 numbers, column by column, as franka_ros has them."""
+    """Return the (4, 4) matrix of 16 numbers, column by column, as in franka_ros."""
     return np.array(values, dtype=float).reshape(4, 4).T
 
 
 def matrix_of(position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
-    """Position (3,) and quaternion (4,) -> (4, 4)."""
+    """Return the (4, 4) matrix of a position (3,) and a quaternion (4,)."""
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat(orientation).as_matrix()
     matrix[:3, 3] = position
@@ -76,12 +76,12 @@ def matrix_of(position: Sequence[float], orientation: Sequence[float]) -> np.nda
 
 
 def pose_of(matrix: np.ndarray) -> Tuple[Any, Any]:
-    """(4, 4) -> position (3,) and quaternion (4,)."""
+    """Return position (3,) and quaternion (4,) of a (4, 4) matrix."""
     return tuple(matrix[:3, 3].tolist()), tuple(Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist())
 
 
 def transform_message(stamp: rospy.Time, parent: str, child: str, matrix: np.ndarray) -> TransformStamped:
-    """A frame of the arm in another one of it, (4, 4)."""
+    """Return the transform message of a frame of the arm in another, from a (4, 4) matrix."""
     position, orientation = pose_of(matrix)
     message = TransformStamped(child_frame_id=f"{ARM}_{child}")
     message.header.stamp, message.header.frame_id = stamp, f"{ARM}_{parent}"

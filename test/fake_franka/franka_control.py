@@ -1,4 +1,4 @@
-"""franka_control's services and its action: the setters of libfranka, and the recovery from an error."""
+"""Services and action of franka_control: the setters of libfranka and the error recovery."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class FrankaControl:
         self._frames = frames
         self._computer = computer
         self._recovery_time = float(rospy.get_param("~recovery_time", 0.5))
-        # franka_ros 0.10 lets setters and recoveries wait while its loop is running; before, the robot refused them.
+        # In franka_ros 0.10 setters and recoveries wait while the control loop runs; before, the robot rejected them.
         self._waits_for_motion = bool(rospy.get_param("~waits_for_motion", False))
         collision = "Set Collision Behavior"
         self._offer("set_load", SetLoad, "Set Load", self._set_load)
         self._offer("set_EE_frame", SetEEFrame, "Set NE to EE", self._set_ee_frame)
         self._offer("set_K_frame", SetKFrame, "Set EE to K", self._set_k_frame)
-        # Of the internal controllers, which do not run under torque control.
+        # Of the internal controllers, which are inactive under torque control.
         self._offer("set_cartesian_impedance", SetCartesianImpedance, "Set Cartesian Impedance", lambda _request: None)
         self._offer("set_joint_impedance", SetJointImpedance, "Set Joint Impedance", lambda _request: None)
         self._offer(

@@ -1,9 +1,9 @@
-"""What a Panda does under cartesian_impedance_example_controller: a spring and a damper pull the hand to a set-point.
+"""Motion of a Panda under cartesian_impedance_example_controller: a spring and a damper pull the hand to a set-point.
 
-The controller lets its target follow the latest set-point by FILTER of the distance each millisecond, and its stiffness
-likewise the stiffness that was asked for; its damping is 2 sqrt(stiffness). The hand that it pulls is a mass and an
-inertia, which hides the joints: no singularities, no gravity, no Coriolis forces. Written in plain floats, because
-every millisecond of a run comes through here.
+The controller's target follows the latest set-point by FILTER of the distance each millisecond, and its stiffness
+likewise the requested stiffness; its damping is 2 sqrt(stiffness). The torque is stiffness times the vector part of the
+error quaternion, so stiffness sin(angle / 2). The hand is a mass and an inertia in place of the joints: no
+singularities, gravity or Coriolis forces. In plain floats, because this runs for every millisecond.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from typing import List, Sequence, Tuple
 
 STEP = 0.001  # s, of controller and robot
 FILTER = 0.005  # of the distance to the set-point, each STEP
-MASS = 2.0  # kg that the hand seems to have; the lag in steady motion does not depend on it
+MASS = 4.0  # kg, effective at the hand; critical damping would need 1 kg
 INERTIA = 0.1  # kg m^2 about every axis
-BRAKING = 8.0  # m/s^2: what the robot's own stop takes
+BRAKING = 8.0  # m/s^2, of the robot's own stop
 TURN_BRAKING = 40.0  # rad/s^2
-_AT_REST = 1e-7  # m, m/s, rad, rad/s: what is smaller than this everywhere does not move
+_AT_REST = 1e-7  # m, m/s, rad, rad/s: smaller deviations and speeds count as rest
 
 Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]
-"""x, y, z, w, of length one."""
+"""Unit quaternion x, y, z, w."""
 
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 
 
 def multiply(left: Quaternion, right: Quaternion) -> Quaternion:
-    """The turn that does right first, and left then."""
+    """Return the product: the rotation `right`, then `left`."""
     ax, ay, az, aw = left
     bx, by, bz, bw = right
     return (
@@ -39,50 +39,56 @@ def multiply(left: Quaternion, right: Quaternion) -> Quaternion:
 
 
 def inverse(turn: Quaternion) -> Quaternion:
-    """The turn back."""
+    """Return the inverse rotation."""
     return (-turn[0], -turn[1], -turn[2], turn[3])
 
 
 def rotation_vector(turn: Quaternion) -> Vector:
-    """Axis times angle, rad, of the shorter way round."""
+    """Return axis times angle [rad] of the shorter rotation."""
     x, y, z, w = turn if turn[3] >= 0.0 else tuple(-value for value in turn)
     sine = math.sqrt(x * x + y * y + z * z)
     scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
     return (scale * x, scale * y, scale * z)
 
 
+def vector_part(turn: Quaternion) -> Vector:
+    """Return axis times sin(angle / 2) of the shorter rotation."""
+    x, y, z, w = turn
+    return (x, y, z) if w >= 0.0 else (-x, -y, -z)
+
+
 def turned_by(vector: Vector) -> Quaternion:
-    """The turn about an axis, given as axis times angle, rad."""
+    """Return the rotation given by axis times angle [rad]."""
     angle = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     scale = 0.5 if angle < 1e-9 else math.sin(angle / 2.0) / angle
     return (scale * vector[0], scale * vector[1], scale * vector[2], math.cos(angle / 2.0))
 
 
 def normalised(turn: Sequence[float]) -> Quaternion:
-    """The turn that four numbers mean. Raises ValueError when they are none."""
+    """Return the unit quaternion in the direction of four numbers. Raises ValueError for length zero."""
     length = math.sqrt(sum(value * value for value in turn))
     if not length > 1e-6:
-        raise ValueError("a quaternion of length zero turns nothing")
+        raise ValueError("a quaternion of length zero is no rotation")
     x, y, z, w = (value / length for value in turn)
     return (x, y, z, w)
 
 
 def rotate(turn: Quaternion, vector: Vector) -> Vector:
-    """A vector, turned."""
+    """Rotate a vector."""
     x, y, z, _ = multiply(multiply(turn, (*vector, 0.0)), inverse(turn))
     return (x, y, z)
 
 
 def length_of(vector: Sequence[float]) -> float:
-    """Its Euclidean length."""
+    """Return the Euclidean length."""
     return math.sqrt(sum(value * value for value in vector))
 
 
 class ImpedanceHand:
-    """The hand, and the controller's target; poses in the base frame, in m and as quaternions."""
+    """The hand and the controller's target; poses in the base frame, in m and as quaternions."""
 
     def __init__(self, position: Vector, orientation: Quaternion, friction: float = 0.0) -> None:
-        """Stand still there. friction: N that a force has to exceed, along each axis, before the hand moves on."""
+        """Start at rest. friction: force [N] that the spring has to exceed along each axis before the hand moves."""
         self.position: List[float] = list(position)
         self.orientation = orientation
         self.velocity: List[float] = [0.0, 0.0, 0.0]
@@ -91,46 +97,46 @@ class ImpedanceHand:
         self.torque: List[float] = [0.0, 0.0, 0.0]  # Nm
         self.acceleration = 0.0  # m/s^2
         self._friction = friction
-        self._stiffness = [0.0, 0.0]  # N/m, Nm/rad; the controller begins without any
-        self._wanted_stiffness = [200.0, 10.0]
+        self._stiffness = [0.0, 0.0]  # N/m, Nm/rad; zero when the controller is loaded
+        self.requested_stiffness = [200.0, 10.0]
         self.set_point = (tuple(position), orientation)
         self._target: List[float] = list(position)
         self._target_orientation = orientation
 
     @property
     def target(self) -> Tuple[Vector, Quaternion]:
-        """Where the filtered target is."""
+        """The filtered target."""
         x, y, z = self._target
         return (x, y, z), self._target_orientation
 
     @property
     def speed(self) -> float:
-        """Of the hand, m/s."""
+        """Speed of the hand, m/s."""
         return length_of(self.velocity)
 
     @property
     def turn_rate(self) -> float:
-        """Of the hand, rad/s."""
+        """Turn rate of the hand, rad/s."""
         return length_of(self.turning)
 
     def set_stiffness(self, translational: float, rotational: float) -> None:
-        """N/m and Nm/rad that the controller goes over to."""
-        self._wanted_stiffness = [translational, rotational]
+        """Set the stiffness [N/m, Nm/rad] that the controller approaches."""
+        self.requested_stiffness = [translational, rotational]
 
     def latch(self) -> None:
-        """What the controller does when it is started: its target, and set-point, is where the hand is."""
+        """Set target and set-point to the hand's pose, as the controller does when it is started."""
         x, y, z = self.position
         self.set_point = ((x, y, z), self.orientation)
         self._target = [x, y, z]
         self._target_orientation = self.orientation
 
     def displace(self, offset: Sequence[float], turn: float) -> None:
-        """Find the hand elsewhere from one moment to the next: offset, m, and turned about z, rad."""
+        """Displace the hand at once by an offset [m] and a turn about z [rad]."""
         self.position = [value + shift for value, shift in zip(self.position, offset)]
         self.orientation = multiply(turned_by((0.0, 0.0, turn)), self.orientation)
 
     def advance(self) -> None:
-        """One millisecond under the controller."""
+        """Advance by one millisecond under the controller."""
         self._follow_set_point()
         stiffness, turn_stiffness = self._stiffness
         if self._is_settled():
@@ -142,7 +148,7 @@ class ImpedanceHand:
         self.velocity = [
             self._pushed(speed, force - damping * speed) for speed, force in zip(self.velocity, self.force)
         ]
-        error = rotation_vector(multiply(self._target_orientation, inverse(self.orientation)))
+        error = vector_part(multiply(self._target_orientation, inverse(self.orientation)))
         turn_damping = 2.0 * math.sqrt(turn_stiffness)
         self.torque = [turn_stiffness * value for value in error]
         self.turning = [
@@ -152,7 +158,7 @@ class ImpedanceHand:
         self._move()
 
     def brake(self) -> None:
-        """One millisecond of the robot's own stop, or of standing still."""
+        """Advance by one millisecond of the robot's own stop, or at rest."""
         self.force = [0.0, 0.0, 0.0]
         self.torque = [0.0, 0.0, 0.0]
         self.acceleration = 0.0
@@ -170,11 +176,11 @@ class ImpedanceHand:
             step = turned_by((FILTER * way[0], FILTER * way[1], FILTER * way[2]))
             self._target_orientation = normalised(multiply(step, self._target_orientation))
         self._stiffness = [
-            value + FILTER * (wanted - value) for value, wanted in zip(self._stiffness, self._wanted_stiffness)
+            value + FILTER * (wanted - value) for value, wanted in zip(self._stiffness, self.requested_stiffness)
         ]
 
     def _pushed(self, speed: float, force: float) -> float:
-        """A speed along one axis after a STEP under a force, less what friction takes of it."""
+        """Return the speed along one axis after a STEP under a force and friction."""
         pushed = speed + STEP * force / MASS
         lost = STEP * self._friction / MASS
         return math.copysign(max(abs(pushed) - lost, 0.0), pushed)
@@ -195,7 +201,7 @@ class ImpedanceHand:
 
 
 def _slowed(velocity: Sequence[float], loss: float) -> List[float]:
-    """A velocity whose length is less by loss."""
+    """Return a velocity whose length is reduced by loss."""
     length = length_of(velocity)
     share = max(length - loss, 0.0) / length if length > 0.0 else 0.0
     return [share * value for value in velocity]

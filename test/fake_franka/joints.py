@@ -1,4 +1,4 @@
-"""Joint positions that put the flange where the model of the hand has it."""
+"""Inverse kinematics: joint positions for the pose of the hand's model."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 from embodied_active_learning.simulation import servo
 from embodied_active_learning.simulation.panda_body import PandaBody
 
-_PHYSICS_RATE = 240  # not used: the body is placed, never driven
+_PHYSICS_RATE = 240  # unused: the body is placed, never driven
 
 
 class JointTracker:
-    """Follows the flange with the seven joints of the simulated Panda, by two Newton steps for each pose."""
+    """Follows the flange with the joints of the simulated Panda, with two Newton steps per pose."""
 
     def __init__(self, flange: np.ndarray) -> None:
-        """Find joints for a flange pose (4, 4) that looks straight down. Raises ValueError out of the arm's reach."""
+        """Solve for a flange pose (4, 4) that points straight down. Raises ValueError out of the arm's reach."""
         self._body = PandaBody(_PHYSICS_RATE)
         planar = np.array([flange[0, 3], flange[1, 3], math.atan2(flange[1, 0], flange[0, 0])])
         joints = servo.solve_joints(self._body, planar, flange[2, 3])
@@ -27,7 +27,7 @@ class JointTracker:
         self._joints = joints
 
     def follow(self, flange: np.ndarray, velocity: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-        """Flange pose (4, 4) and its twist (6,) -> joint positions (7,) rad and velocities (7,) rad/s."""
+        """Return joint positions (7,) [rad] and velocities (7,) [rad/s] for a flange pose (4, 4) and twist (6,)."""
         limits = servo.JOINT_LIMITS
         for _ in range(2):
             self._body.place(self._joints)
@@ -36,5 +36,5 @@ class JointTracker:
             jacobian = self._body.jacobian(self._joints)
             step = servo.joint_velocities(jacobian, np.concatenate([flange[:3, 3] - position, turn]), self._joints)
             self._joints = np.clip(self._joints + step, limits[:, 0], limits[:, 1])
-        # Without the posture's share, which is none of the motion: an arm that stands still has still joints.
+        # Without the posture term, so that the joints of an arm at rest have zero velocity.
         return self._joints, np.linalg.pinv(jacobian) @ velocity

@@ -1,4 +1,4 @@
-"""controller_manager's services, and what the impedance controller brings with it: set-points and stiffness."""
+"""Services of controller_manager, and the impedance controller's topic and stiffness server."""
 
 from __future__ import annotations
 
@@ -45,12 +45,14 @@ STIFFNESS = {
 
 
 class ImpedanceTopics:
-    """What the loaded impedance controller hears."""
+    """Set-point topic and stiffness server of a loaded impedance controller."""
 
     def __init__(self, name: str, robot: FakeRobot, computer: Computer) -> None:
         self._robot = robot
         self._computer = computer
-        node = f"{name}/dynamic_reconfigure_compliance_param_node"
+        # franka_ros 0.8.0 to 0.9.0 lacks the slash, and so also ignores parameters under the documented name.
+        separator = "" if rospy.get_param("~old_stiffness_name", False) else "/"
+        node = f"{name}{separator}dynamic_reconfigure_compliance_param_node"
         self._stiffness = {
             key: float(rospy.get_param(f"{node}/{key}", default)) for key, (default, _) in STIFFNESS.items()
         }
@@ -62,22 +64,23 @@ class ImpedanceTopics:
         )
 
     def close(self) -> None:
-        """The controller is unloaded."""
+        """Remove topic and server when the controller is unloaded."""
         self._subscriber.unregister()
         self._service.shutdown()
         self._updates.unregister()
 
     def take_set_point(self, message: PoseStamped) -> None:
-        """Topic equilibrium_pose; its frame is not looked at."""
+        """Topic equilibrium_pose; its frame is ignored."""
         point, turn = message.pose.position, message.pose.orientation
         if self._computer.is_alive:
             orientation = normalised((turn.x, turn.y, turn.z, turn.w))
             self._robot.take_set_point((point.x, point.y, point.z), orientation)
 
     def reconfigure(self, request: Any) -> ReconfigureResponse:
-        """Service set_parameters of dynamic_reconfigure: what is not named stays as it is."""
+        """Service set_parameters of dynamic_reconfigure: parameters that are not named keep their values."""
+        ignored = rospy.get_param("~ignore_stiffness", False)
         for given in request.config.doubles:
-            if given.name in STIFFNESS:
+            if given.name in STIFFNESS and not ignored:
                 self._stiffness[given.name] = min(max(given.value, 0.0), STIFFNESS[given.name][1])
         return ReconfigureResponse(self._apply())
 
@@ -91,7 +94,7 @@ class ImpedanceTopics:
 
 
 class ManagerServices:
-    """Offers controller_manager/..., and starts with the controllers that ~running names."""
+    """Offers controller_manager/...; starts the controllers named by ~running."""
 
     def __init__(self, robot: FakeRobot, computer: Computer) -> None:
         self._robot = robot
@@ -103,10 +106,7 @@ class ManagerServices:
         for name, values in DEFAULT_CONTROLLERS.items():
             if not rospy.has_param(f"{name}/type"):
                 rospy.set_param(name, values)
-        self._manager = ControllerManager(_parameters, lambda: rospy.get_param("~refuse_load", []))
-        for name in rospy.get_param("~running", ["franka_state_controller"]):
-            self._load(name)
-            self._switch([name], [], SwitchController._request_class.STRICT)
+        self._start_manager()
         space = "controller_manager/"
         computer.offer(space + "list_controllers", ListControllers, self.list_controllers)
         computer.offer(space + "list_controller_types", ListControllerTypes, self.list_types)
@@ -119,6 +119,14 @@ class ManagerServices:
         """Whether franka_state_controller is running."""
         with self._lock:
             return self._manager.runs(STATE_TYPE)
+
+    def restart(self) -> None:
+        """Unload all controllers and start those named by ~running, as a restarted franka_control does."""
+        with self._lock:
+            for topics in self._impedance.values():
+                topics.close()
+            self._impedance.clear()
+            self._start_manager()
 
     def list_controllers(self, _request: Any) -> ListControllersResponse:
         """Service list_controllers."""
@@ -160,6 +168,12 @@ class ManagerServices:
                 rospy.logerr("%s", error)
                 return False
             return True
+
+    def _start_manager(self) -> None:
+        self._manager = ControllerManager(_parameters, lambda: rospy.get_param("~refuse_load", []))
+        for name in rospy.get_param("~running", ["franka_state_controller"]):
+            self._load(name)
+            self._switch([name], [], SwitchController._request_class.STRICT)
 
     def _load(self, name: str) -> None:
         controller = self._manager.load(name)

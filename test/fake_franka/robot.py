@@ -1,4 +1,4 @@
-"""The robot behind franka_control: its modes, what stops it, and what it takes to go on. Real time, by any clock."""
+"""The robot behind franka_control: modes, reflexes, user stop and recovery, in real time by a given clock."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ MODE_NAMES = ("Other", "Idle", "Move", "Guiding", "Reflex", "User stopped", "Aut
 MAX_SPEED = 1.7  # m/s
 MAX_TURN_RATE = 2.5  # rad/s
 STOCK_FORCE_LIMITS = (20.0, 20.0, 20.0, 25.0, 25.0, 25.0)  # N, Nm
-_LONGEST_CATCH_UP = 10.0  # s of motion that are made up for when the process was not run for a while
+_LONGEST_CATCH_UP = 10.0  # s of motion that are made up for after the process was suspended
 
 
 class CommandError(Exception):
-    """libfranka refuses a command, or a motion ends; the message is libfranka's."""
+    """libfranka rejects a command or aborts a motion; the message is libfranka's."""
 
 
 @dataclass
 class Truth:
-    """What the hand really did since it was last asked."""
+    """True motion of the hand since the last request."""
 
     max_speed: float = 0.0  # m/s
     max_turn_rate: float = 0.0  # rad/s
-    max_acceleration: float = 0.0  # m/s^2, under the controller; the robot's own stops are not in it
+    max_acceleration: float = 0.0  # m/s^2, under the controller; without the robot's own stops
     max_outside: float = 0.0  # m beyond the workspace
     max_height_error: float = 0.0  # m
     travelled: float = 0.0  # m
-    max_step: float = 0.0  # m between two set-points that follow each other
+    max_step: float = 0.0  # m between consecutive set-points
     set_points: int = 0
     reflexes: int = 0
     recoveries: int = 0
@@ -51,17 +51,18 @@ class Truth:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """What may differ from robot to robot, and between versions of franka_ros."""
+    """Properties that differ between robots and versions of franka_ros."""
 
     friction: float = 0.0  # N, along each axis
     end_of_motion: float = 0.0  # s for which the robot is in mode Move after its controller was stopped
-    largest_step: float = 0.1  # m between two set-points; stricter than a robot, which feels only what the hand feels
+    largest_step: float = 0.1  # m between two set-points; a robot has no such limit of its own
     largest_turn: float = 0.6  # rad between two set-points
-    recovers_after_user_stop: bool = False  # as franka_ros does after 0.10.1, without being asked
+    recovers_after_user_stop: bool = False  # automatically, as franka_ros after 0.10.1
+    recovers_own_errors_only: bool = False  # a recovery succeeds without effect otherwise, as from franka_ros 0.10.2
 
 
 class FakeRobot:
-    """A Panda and the loop in franka_control that drives it. Safe to be used by several threads at once."""
+    """A Panda and the control loop of franka_control. Thread-safe."""
 
     def __init__(
         self,
@@ -72,13 +73,13 @@ class FakeRobot:
         outside: Callable[[Vector, Quaternion], Tuple[float, float]] = lambda _position, _orientation: (0.0, 0.0),
         log: Callable[[str], None] = lambda _text: None,
     ) -> None:
-        """outside: how far a true pose is beyond the workspace and off its height, m."""
+        """outside: returns how far a true pose is outside the workspace and off its height, m."""
         self.lock = threading.RLock()
         self.hand = ImpedanceHand(position, orientation, behaviour.friction)
         self.force_limits: Sequence[float] = STOCK_FORCE_LIMITS
         self.errors: Set[str] = set()
         self.last_motion_errors: Set[str] = set()
-        self.felt = (0.0,) * 6  # N, Nm: what tripped the reflex that holds the arm
+        self.felt = (0.0,) * 6  # N, Nm: the force that tripped the present reflex
         self._clock = clock
         self._behaviour = behaviour
         self._outside = outside
@@ -86,13 +87,14 @@ class FakeRobot:
         self._time = clock()
         self._begun = self._time
         self._controlled = False  # a running controller moves the arm
-        self._impedance = False  # and it is the impedance controller
-        self._has_error = False  # franka_control's: the loop does not run until an error recovery has succeeded
+        self._impedance = False  # this is the impedance controller
+        self._has_error = False  # franka_control has aborted a motion: its loop waits for an error recovery
         self._moves_until = -math.inf
         self._user_stop = False
         self._recovering = False
+        self._ignored_recovery = False
         self._failing_recoveries = 0
-        self._offset = (ORIGIN, 0.0)  # m, rad: by how much poses are reported beside the truth
+        self._offset = (ORIGIN, 0.0)  # m, rad: error of the reported pose
         self._truth = Truth()
 
     @property
@@ -109,23 +111,23 @@ class FakeRobot:
 
     @property
     def is_driven(self) -> bool:
-        """Whether franka_control's loop is running."""
+        """Whether franka_control's control loop is running."""
         return self._controlled and not self._has_error
 
     @property
     def time(self) -> float:
-        """Seconds since the robot was switched on."""
+        """Seconds since the start."""
         return self._time - self._begun
 
     def true_pose(self) -> Tuple[Vector, Quaternion]:
-        """Where the hand really is, whatever is reported."""
+        """Return the true pose of the hand, without the reported error."""
         with self.lock:
             offset, turn = self._offset
             x, y, z = (value - shift for value, shift in zip(self.hand.position, offset))
             return (x, y, z), multiply(turned_by((0.0, 0.0, -turn)), self.hand.orientation)
 
     def advance(self) -> None:
-        """Live through the time that has passed, a millisecond at a time."""
+        """Advance to the present time in steps of a millisecond."""
         with self.lock:
             now = self._clock()
             if now - self._time > _LONGEST_CATCH_UP:
@@ -136,7 +138,7 @@ class FakeRobot:
             self._note(before)
 
     def take_set_point(self, position: Vector, orientation: Quaternion) -> None:
-        """What the impedance controller hears on equilibrium_pose."""
+        """Process a message on equilibrium_pose."""
         with self.lock:
             self.advance()
             last_position, last_orientation = self.hand.set_point
@@ -144,14 +146,14 @@ class FakeRobot:
             turn = length_of(rotation_vector(multiply(orientation, inverse(last_orientation))))
             self.hand.set_point = (position, orientation)
             if not self._impedance or not self.is_driven:
-                return  # started again, the controller latches the pose where it is
+                return  # when it is started, the controller latches the present pose
             self._truth.set_points += 1
             self._truth.max_step = max(self._truth.max_step, step)
             if step > self._behaviour.largest_step or turn > self._behaviour.largest_turn:
                 self._trip("cartesian_reflex")
 
     def change_controllers(self, moves_the_arm: bool, impedance: bool) -> None:
-        """Other controllers are running now."""
+        """Process a change of the running controllers."""
         with self.lock:
             self.advance()
             if self.is_driven and not moves_the_arm:
@@ -161,25 +163,31 @@ class FakeRobot:
                 self._start_motion()
 
     def reflex(self, error: str) -> None:
-        """The robot stops the arm, by itself, for an error of franka_msgs/Errors."""
+        """Trip a reflex with an error of franka_msgs/Errors."""
         with self.lock:
             self.advance()
             self._trip(error)
 
+    def restart_control(self) -> None:
+        """Crash and restart franka_control: the robot keeps its error, of which the new process knows nothing."""
+        with self.lock:
+            self.lose_contact()
+            self._controlled = self._impedance = self._has_error = False
+
     def lose_contact(self) -> None:
-        """The computer that runs franka_control does not answer any more."""
+        """Process that franka_control does not respond any more."""
         with self.lock:
             self.advance()
             if self.is_driven:
                 self._trip("communication_constraints_violation")
 
     def set_user_stop(self, pressed: bool) -> None:
-        """The button in the user's hand."""
+        """Press or release the user stop."""
         with self.lock:
             self.advance()
             was_driven = self.is_driven
             self._user_stop = pressed
-            self.errors = set()  # neither while it is pressed nor afterwards does the robot tell of any
+            self.errors = set()  # the robot reports none while it is pressed, nor afterwards
             if pressed and was_driven:
                 self._end_motion("libfranka: Move command aborted: User Stop pressed!", set())
             if not pressed and self._has_error and self._behaviour.recovers_after_user_stop:
@@ -187,7 +195,7 @@ class FakeRobot:
                 self._start_motion()
 
     def jump(self, offset: Sequence[float], turn: float) -> None:
-        """Report, from now on, a pose that is offset, m, and turned, rad, beside the one so far."""
+        """Displace the reported pose by an offset [m] and a turn [rad] from now on."""
         with self.lock:
             self.advance()
             before, before_turn = self._offset
@@ -196,7 +204,7 @@ class FakeRobot:
             self.hand.displace(offset, turn)
 
     def command(self, name: str, apply: Callable[[], None]) -> None:
-        """Do what a setter of libfranka does, which is possible while nothing drives the arm. Raises CommandError."""
+        """Apply a setter of libfranka, which is possible in mode Idle only. Raises CommandError."""
         with self.lock:
             self.advance()
             if self.mode != IDLE:
@@ -206,23 +214,28 @@ class FakeRobot:
             apply()
 
     def fail_next_recovery(self) -> int:
-        """Let one more recovery fail -> how many will."""
+        """Make one more recovery fail -> the number that will."""
         with self.lock:
             self._failing_recoveries += 1
             return self._failing_recoveries
 
     def begin_recovery(self) -> None:
-        """An error recovery is asked for. Raises CommandError when it is not possible now."""
+        """Start an error recovery. Raises CommandError if it is not possible now."""
         with self.lock:
             self.advance()
+            self._ignored_recovery = self._behaviour.recovers_own_errors_only and not self._has_error
+            if self._ignored_recovery:
+                return
             if self.mode not in (IDLE, REFLEX):
                 raise self._rejected("Automatic Error Recovery")
             self._recovering = bool(self.errors)
 
     def end_recovery(self) -> None:
-        """It is over; the running controllers are started again. Raises CommandError when it has failed."""
+        """Finish a recovery and restart the running controllers. Raises CommandError if it failed."""
         with self.lock:
             self.advance()
+            if self._ignored_recovery:
+                return
             self._recovering = False
             if self._user_stop:
                 raise CommandError("libfranka: Automatic Error Recovery command aborted: User Stop pressed!")
@@ -238,14 +251,14 @@ class FakeRobot:
             self._start_motion()
 
     def take_truth(self) -> Dict[str, object]:
-        """What the hand did since this was last asked, by the names of Truth; then it begins anew."""
+        """Return the fields of Truth since the last call, and reset them."""
         with self.lock:
             self.advance()
             truth, self._truth = self._truth, Truth()
             return vars(truth)
 
     def _start_motion(self) -> None:
-        """franka_control enters its loop: every running controller is started, and latches the pose."""
+        """Enter the control loop: the running controllers are started and latch the pose."""
         if not self._controlled:
             return
         if self.mode != MOVE:

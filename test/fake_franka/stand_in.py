@@ -1,4 +1,4 @@
-"""The whole stand-in: robot, franka_control, controllers and camera, and the faults that a test may give them."""
+"""The stand-in for franka_ros: robot, franka_control, controllers and camera, and faults for tests."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from fake_franka.state_controller import StateController
 from fake_franka.usb_cam import FakeUsbCam
 
 MOTION_RATE = 200.0
-"""Looks per second at how far time has gone; the motion itself is calculated by the millisecond."""
+"""Updates of the motion per second; the motion itself is calculated in milliseconds."""
 SLOW_RATE = 3.0
-"""Hz of the states while they are slow."""
+"""Rate [Hz] of slowed states."""
 
 
 class StandIn:
-    """What a launch file of a lab would start on the robot's computer, as one node."""
+    """Everything on the robot's computer, as one node."""
 
     def __init__(self, config: Config) -> None:
         self._computer = Computer()
@@ -63,7 +63,7 @@ class StandIn:
             self._states.publish()
 
     def _publish_truth(self) -> None:
-        """Topic ~true_pose: the end effector, whatever is reported of it, and in silence too."""
+        """Publish ~true_pose, the end effector's, independently of the reported states."""
         self._robot.advance()
         position, orientation = self._robot.true_pose()
         message = PoseStamped()
@@ -77,8 +77,9 @@ class StandIn:
         robot = self._robot
         _trigger("reflex", lambda: robot.reflex("cartesian_reflex"))
         _trigger("fail_next_recovery", robot.fail_next_recovery)
+        _trigger("restart_franka_control", self._restart_control)
         _trigger("pose_jump", lambda: robot.jump(self._jump[:3], self._jump[3]))
-        _trigger("truth", self._tell_truth)
+        _trigger("truth", self._truth_text)
         _switch("user_stop", robot.set_user_stop)
         _switch("silence_states", lambda on: setattr(self, "_are_silent", on))
         _switch("slow_states", lambda on: setattr(self, "_are_slow", on))
@@ -87,22 +88,28 @@ class StandIn:
             _switch("freeze_camera", lambda on: setattr(self._camera, "is_frozen", on))
             _switch("silence_camera", lambda on: setattr(self._camera, "is_silent", on))
 
+    def _restart_control(self) -> None:
+        self._robot.restart_control()
+        self._manager.restart()
+
     def _silence(self, on: bool) -> None:
-        """The computer dies, and the robot, which hears nothing of it any more, stops the arm; or it is back."""
+        """Silence the computer, after which the robot stops the arm, or revive it."""
         if on:
             self._computer.die()
             self._robot.lose_contact()
         else:
             self._computer.revive()
 
-    def _tell_truth(self) -> str:
-        """What the arm did since this was asked last, and where its camera really is, as JSON."""
+    def _truth_text(self) -> str:
+        """Return the true motion since the last call and the camera's true pose as JSON."""
         camera = self._camera_pose()
-        told = self._robot.take_truth()
-        told["pose"] = [camera[0, 3], camera[1, 3], math.atan2(camera[1, 0], camera[0, 0])]
-        told["speed"] = self._robot.hand.speed
-        told["mode"] = self._robot.mode
-        return json.dumps(told)
+        truth = self._robot.take_truth()
+        truth["pose"] = [camera[0, 3], camera[1, 3], math.atan2(camera[1, 0], camera[0, 0])]
+        truth["speed"] = self._robot.hand.speed
+        truth["stiffness"] = self._robot.hand.requested_stiffness
+        truth["load"] = self._frames.load[0]
+        truth["mode"] = self._robot.mode
+        return json.dumps(truth)
 
 
 def _trigger(name: str, action: Callable[[], Any]) -> None:
@@ -118,7 +125,7 @@ def _switch(name: str, action: Callable[[bool], None]) -> None:
 
 
 def main(config: Config) -> None:
-    """Be a Panda and its camera until the node ends."""
+    """Run the stand-in until the node ends."""
     StandIn(config)
     rospy.loginfo("the stand-in for franka_ros is ready: no robot is connected")
     rospy.spin()

@@ -1,4 +1,4 @@
-"""franka_state_controller: what it publishes of the robot."""
+"""franka_state_controller: the robot's published states."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class StateController:
         ]
         self._wrenches = rospy.Publisher(space + "F_ext", WrenchStamped, queue_size=1)
         self._transforms = rospy.Publisher("/tf", TFMessage, queue_size=1)
-        # False where robot_state_publisher has the arm's links: a frame has one parent.
+        # False if robot_state_publisher publishes the arm's links: a frame has one parent.
         self._places_flange = bool(rospy.get_param("~places_flange", True))
 
     def publish(self) -> None:
-        """Everything, of this instant."""
+        """Publish all topics for this instant."""
         with self._robot.lock:
             self._robot.advance()
             stamp = rospy.Time.now()
@@ -70,7 +70,7 @@ class StateController:
         state.q, state.dq = self._joints.follow(ee @ np.linalg.inv(frames.flange_to_ee), twist)
         state.q_d = state.theta = state.q
         state.dq_d = state.dtheta = state.dq
-        # Under torque control the desired and commanded poses of libfranka say nothing about where the arm shall go.
+        # Under torque control libfranka's desired and commanded poses are not those of the controller.
         state.O_T_EE = state.O_T_EE_d = state.O_T_EE_c = ee.T.ravel()
         state.F_T_EE = frames.flange_to_ee.T.ravel()
         state.F_T_NE = frames.flange_to_nominal.T.ravel()

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A Panda's node before the stand-in for franka_ros: what it moves, and every fault of robot, person and computer."""
+"""The Panda's node against the stand-in for franka_ros: commands, and faults of robot, person and computer."""
 
 import json
 import os
@@ -35,16 +35,16 @@ OPERATOR = {"callerid": "/operator"}
 
 
 def until(condition):
-    """Return as soon as a condition holds; a busy machine may take its time."""
+    """Wait for a condition."""
     ends_at = time.monotonic() + TIMEOUT
     while not condition():
         if time.monotonic() > ends_at:
-            raise AssertionError("it has not come about")
+            raise AssertionError("timeout")
         time.sleep(0.01)
 
 
 class Move:
-    """A move in a thread of its own, and its answer."""
+    """A move in a thread, and its response."""
 
     def __init__(self, service, velocity=(0.05, 0.0, 0.0), duration=1.0):
         self.answer = None
@@ -104,7 +104,7 @@ class FrankaArmTest(unittest.TestCase):
         self.assertEqual(truth["refused_commands"], [])
 
     def truth(self):
-        """What the arm truly did since this was asked last."""
+        """Return the true motion since the last call."""
         return json.loads(rospy.ServiceProxy("fake_franka/truth", Trigger)().message)
 
     def trigger(self, fault):
@@ -124,30 +124,30 @@ class FrankaArmTest(unittest.TestCase):
         return rospy.ServiceProxy(f"controller_manager/{service}_controller", kind)(*arguments).ok
 
     def is_recovered(self):
-        """Until the arm takes commands, by a person's word where need be."""
+        """Call recover until the arm accepts commands."""
         answers = []
         until(lambda: answers.append(self.recover()) or answers[-1].success)
 
     def moving(self, duration=1.0, **headers):
-        """A move under way, with the arm in motion."""
+        """Start a move and wait until the arm moves."""
         service = rospy.ServiceProxy("arm/move", MoveArm, headers=headers) if headers else self.move
         move = Move(service, duration=duration)
         until(lambda: self.states and self.states[-1].vx > 0.02)
         return move
 
     def takes_commands(self):
-        """Until the arm moves again when it is told to, as a planner tries it again and again."""
+        """Retry a move until the arm accepts it -> all responses."""
         answers = []
         until(lambda: answers.append(self.move(0.0, 0.0, 0.0, 0.1)) or answers[-1].success)
         return answers
 
     def stands_still(self):
-        """Until the arm truly does -> what it did until then."""
-        told = [self.truth()]
-        until(lambda: told[-1]["speed"] < 1e-3 or told.append(self.truth()))
-        return {**told[-1], "travelled": sum(each["travelled"] for each in told)}
+        """Wait until the arm is at rest -> its true motion until then."""
+        truths = [self.truth()]
+        until(lambda: truths[-1]["speed"] < 1e-3 or truths.append(self.truth()))
+        return {**truths[-1], "travelled": sum(each["travelled"] for each in truths)}
 
-    def test_moves_join_and_are_answered_with_what_was_measured(self):
+    def test_moves_join_and_return_measured_state(self):
         for _ in range(4):
             answer = self.move(0.05, -0.03, 0.2, 0.2)
             self.assertTrue(answer.success, answer.message)
@@ -157,7 +157,7 @@ class FrankaArmTest(unittest.TestCase):
         self.assertIn(answer.state.header.stamp, [each.header.stamp for each in self.states[-20:]])
         self.stands_still()
 
-    def test_the_arm_goes_to_a_pose_and_stops_there(self):
+    def test_go_to_reaches_pose_and_stops(self):
         target = np.add(CENTRE, (-0.04, 0.04, 0.5))
         answer = self.go_to(*target)
         self.assertTrue(answer.success, answer.message)
@@ -166,7 +166,7 @@ class FrankaArmTest(unittest.TestCase):
         np.testing.assert_allclose(velocity, 0.0, atol=0.04)
         np.testing.assert_allclose(self.truth()["pose"], state, atol=5e-3)
 
-    def test_a_velocity_that_leads_out_of_the_workspace_ends_inside_it(self):
+    def test_move_ends_inside_workspace(self):
         corner = Workspace().upper
         self.assertTrue(self.go_to(corner[0] - 0.02, corner[1] - 0.02, 0.0).success)
         for _ in range(5):
@@ -174,12 +174,12 @@ class FrankaArmTest(unittest.TestCase):
         self.assertTrue(answer.limited)
         self.stands_still()
 
-    def test_a_command_that_is_no_number_is_refused(self):
+    def test_invalid_commands_are_rejected(self):
         answer = self.move(float("nan"), 0.0, 0.0, 0.2)
         self.assertEqual(answer.cause, ArmCause.REFUSED)
         self.assertFalse(self.go_to(1.5, 0.0, 0.0).success)
 
-    def test_a_stop_ends_the_move_under_way_and_lasts_until_the_arm_is_recovered(self):
+    def test_stop_aborts_move_and_lasts_until_recovery(self):
         move = self.moving()
         answer = self.operator_stops()
         self.assertTrue(answer.success, answer.message)
@@ -190,7 +190,7 @@ class FrankaArmTest(unittest.TestCase):
         self.is_recovered()
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
-    def test_a_reflex_ends_the_move_by_its_name_and_the_arm_recovers_by_itself(self):
+    def test_reflex_aborts_move_and_arm_recovers_automatically(self):
         move = self.moving()
         self.trigger("reflex")
         self.assertEqual(move.answered().cause, ArmCause.FAILED)
@@ -199,21 +199,21 @@ class FrankaArmTest(unittest.TestCase):
         self.assertEqual({answer.cause for answer in answers[:-1]}, {ArmCause.BUSY})
         truth = self.truth()
         self.assertEqual(truth["recoveries"], 1)
-        self.assertEqual(truth["reflexes"], 1, "the arm was drawn back by a set-point of before")
+        self.assertEqual(truth["reflexes"], 1, "an earlier set-point has moved the arm")
 
-    def test_recoveries_that_fail_need_a_person_in_the_end(self):
+    def test_failed_recovery_holds_robot(self):
         self.trigger("fail_next_recovery")
         move = self.moving()
         self.trigger("reflex")
         self.assertEqual(move.answered().cause, ArmCause.FAILED)
         until(lambda: self.move(0.0, 0.0, 0.0, 0.1).cause == ArmCause.STOPPED)
         answer = self.move(0.0, 0.0, 0.0, 0.1)
-        self.assertIn("after 1 recoveries in a row", answer.message)
+        self.assertIn("after 1 consecutive recoveries", answer.message)
         self.assertIn("manual error recovery required", answer.message)
         self.assertEqual(self.truth()["recoveries"], 0)
         self.assertTrue(self.recover().success)
 
-    def test_a_user_stop_is_never_recovered_from_but_by_a_person(self):
+    def test_user_stop_needs_recovery_by_a_person(self):
         move = self.moving()
         self.switch("user_stop", True)
         self.assertEqual(move.answered().cause, ArmCause.STOPPED)
@@ -221,20 +221,20 @@ class FrankaArmTest(unittest.TestCase):
         self.assertIn("release it", self.recover().message)
         until(lambda: "user stop is pressed" in self.health["franka_arm: arm"].message)
         self.switch("user_stop", False)
-        until(lambda: "user stop was pressed, and is released" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: "user stop was pressed and has been released" in self.move(0.0, 0.0, 0.0, 0.1).message)
         truth = self.truth()
         self.assertEqual((truth["recoveries"], truth["speed"]), (0, 0.0))
         answer = self.recover()
         self.assertTrue(answer.success, answer.message)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
-    def test_a_silence_holds_the_arm_until_states_come_again(self):
+    def test_stale_states_hold_arm_until_they_return(self):
         move = self.moving(duration=1.0)
         self.switch("silence_states", True)
         self.assertEqual(move.answered().cause, ArmCause.FAILED)
-        self.assertIn("no new state of the robot", move.answer.message)
+        self.assertIn("no new robot state", move.answer.message)
         self.assertEqual(self.move(0.05, 0.0, 0.0, 0.2).cause, ArmCause.BUSY)
-        self.assertFalse(self.operator_stops().success, "nobody knows whether it stands still")
+        self.assertFalse(self.operator_stops().success, "it is unknown whether the arm is at rest")
         self.stands_still()
         before = self.truth()["pose"]
         self.switch("silence_states", False)
@@ -243,7 +243,7 @@ class FrankaArmTest(unittest.TestCase):
         self.stands_still()
         np.testing.assert_allclose(self.truth()["pose"], before, atol=5e-3)
 
-    def test_after_the_computer_of_the_robot_was_away_the_arm_goes_on_by_itself(self):
+    def test_arm_recovers_after_loss_of_robot_computer(self):
         move = self.moving()
         self.switch("silence_everything", True)
         self.assertEqual(move.answered().cause, ArmCause.FAILED)
@@ -252,40 +252,87 @@ class FrankaArmTest(unittest.TestCase):
         self.takes_commands()
         self.assertEqual(self.truth()["recoveries"], 1)
 
-    def test_another_controller_is_named_and_never_stopped(self):
+    def test_other_controller_is_reported_and_not_stopped(self):
         self.controllers("load", OTHER)
         self.assertTrue(self.controllers("switch", [OTHER], [OURS], 2, False, 0.0))
         until(lambda: OTHER in self.move(0.0, 0.0, 0.0, 0.1).message)
         answer = self.recover()
         self.assertFalse(answer.success)
-        self.assertIn(f"{OTHER} moves the robot", answer.message)
-        self.assertTrue(self.controllers("switch", [], [OTHER], 2, False, 0.0), "it was stopped by somebody else")
-        until(lambda: "was stopped, not by this node" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        self.assertIn(f"another controller moves the robot: {OTHER}", answer.message)
+        self.assertTrue(self.controllers("switch", [], [OTHER], 2, False, 0.0), "another node has stopped it")
+        until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
         self.assertTrue(self.recover().success)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
-    def test_a_franka_control_that_was_started_anew_is_prepared_when_a_person_says_so(self):
+    def test_unloaded_controller_is_restored_by_recover(self):
         self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0))
         self.assertTrue(self.controllers("unload", OURS))
-        until(lambda: "was stopped, not by this node" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
         answer = self.recover()
         self.assertTrue(answer.success, answer.message)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
-    def test_another_node_that_sends_set_points_is_named(self):
+    def test_error_from_before_restart_of_franka_control_is_cleared(self):
+        """Recovery succeeds without effect until franka_control itself has seen the error."""
+        self.moving()
+        self.trigger("restart_franka_control")
+        until(lambda: self.move(0.0, 0.0, 0.0, 0.1).cause == ArmCause.STOPPED)
+        answer = self.recover()
+        self.assertTrue(answer.success, answer.message)
+        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+        self.assertEqual(self.truth()["stiffness"], [200.0, 30.0])
+
+    def reload_controller(self):
+        self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0))
+        self.assertTrue(self.controllers("unload", OURS))
+        until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        return self.recover()
+
+    def test_stiffness_is_set_under_either_name_of_its_server(self):
+        self.assertEqual(self.truth()["stiffness"], [200.0, 30.0])
+        rospy.set_param("fake_franka/old_stiffness_name", True)
+        try:
+            answer = self.reload_controller()
+        finally:
+            rospy.set_param("fake_franka/old_stiffness_name", False)
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual(self.truth()["stiffness"], [200.0, 30.0])
+        self.assertTrue(self.reload_controller().success)
+
+    def test_stiffness_that_is_not_adopted_is_refused(self):
+        rospy.set_param("fake_franka/ignore_stiffness", True)
+        try:
+            answer = self.reload_controller()
+        finally:
+            rospy.set_param("fake_franka/ignore_stiffness", False)
+        self.assertFalse(answer.success)
+        self.assertIn("did not adopt rotational_stiffness 30: it uses 10", answer.message)
+        self.assertEqual(self.move(0.05, 0.0, 0.0, 0.2).success, False)
+
+    def test_earlier_load_is_cleared(self):
+        from franka_msgs.srv import SetLoad  # noqa: PLC0415  made by setUpClass
+
+        self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0))
+        until(lambda: rospy.ServiceProxy("franka_control/set_load", SetLoad)(0.5, [0.0] * 3, [0.0] * 9).success)
+        self.assertEqual(self.truth()["load"], 0.5)
+        until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        self.assertTrue(self.recover().success)
+        self.assertEqual(self.truth()["load"], 0.0)
+
+    def test_other_publisher_of_set_points_is_reported(self):
         rival = rospy.Publisher(f"{OURS}/equilibrium_pose", PoseStamped, queue_size=1)
-        until(lambda: "/check_franka_arm sends set-points" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: "another node publishes set-points" in self.move(0.0, 0.0, 0.0, 0.1).message)
         rival.unregister()
         self.takes_commands()
 
-    def test_the_arm_comes_to_rest_when_the_node_that_drives_it_is_dead_and_is_free_then(self):
+    def test_arm_stops_when_commander_falls_silent(self):
         dead = rospy.ServiceProxy("arm/move", MoveArm, headers={"callerid": "/dead"})
         self.assertTrue(self.stop().success)
         self.assertTrue(dead(0.1, 0.0, 0.0, 0.2).success)
         self.assertLess(self.stands_still()["travelled"], 0.1)
         self.takes_commands()
 
-    def test_a_killed_node_leaves_the_arm_at_rest_and_is_ready_again_when_it_is_started_anew(self):
+    def test_killed_node_leaves_arm_at_rest_and_restarts(self):
         self.operator_stops()
         self.is_recovered()
         self.moving(duration=1.0, callerid="/somebody")
@@ -305,8 +352,8 @@ class FrankaArmTest(unittest.TestCase):
 
         until(tried)
 
-    def test_the_pose_that_jumps_ends_the_move_and_the_arm_stays_where_it_is_now(self):
-        """One of the last: afterwards the stand-in tells poses that are beside the truth."""
+    def test_tail_pose_jump_aborts_move_and_holds_arm(self):
+        """One of the last: afterwards the reported poses are wrong."""
         move = self.moving()
         self.trigger("pose_jump")
         self.assertEqual(move.answered().cause, ArmCause.FAILED)
@@ -314,8 +361,8 @@ class FrankaArmTest(unittest.TestCase):
         self.takes_commands()
         self.stands_still()
 
-    def test_when_it_is_asked_to_end_in_a_move_the_node_brakes_and_ends_well(self):
-        """The last one: the node is gone afterwards."""
+    def test_zz_shutdown_during_move_brakes_arm(self):
+        """The last one: the node has ended afterwards."""
         self.moving(duration=1.0)
         self.assertEqual(self.arm.end(), 0)
         self.assertLess(self.truth()["speed"], 0.02)

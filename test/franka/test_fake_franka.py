@@ -1,4 +1,4 @@
-"""The stand-in for franka_ros moves, stops, refuses and recovers as a Panda under franka_ros does."""
+"""The stand-in for franka_ros moves, stops, rejects and recovers as a Panda under franka_ros does."""
 
 import math
 
@@ -36,7 +36,7 @@ PARAMETERS = {
 
 
 class Lab:
-    """A robot, a clock that a test moves on, and set-points that are streamed at 100 Hz."""
+    """A robot, a clock that the test advances, and a stream of set-points at 100 Hz."""
 
     def __init__(self, drives=True, **behaviour):
         self.now = 0.0
@@ -44,7 +44,7 @@ class Lab:
         self.robot = FakeRobot(lambda: self.now, START, DOWN, Behaviour(**behaviour), log=self.log.append)
         if drives:
             self.robot.change_controllers(moves_the_arm=True, impedance=True)
-            self.wait(3.0)  # the controller goes over to its stiffness, from none
+            self.wait(3.0)  # the controller raises its stiffness from zero
 
     def wait(self, seconds, period=0.005):
         for _ in range(round(seconds / period)):
@@ -52,7 +52,7 @@ class Lab:
             self.robot.advance()
 
     def stream(self, seconds, velocity=0.0, turn_rate=0.0):
-        """Set-points that move in y, and about z, from where the last one was."""
+        """Stream set-points that move in y and about z from the last one."""
         (x, y, z), orientation = self.robot.hand.set_point
         for tick in range(1, round(100 * seconds) + 1):
             turn = multiply(turned_by((0.0, 0.0, turn_rate * tick / 100)), orientation)
@@ -77,33 +77,44 @@ def lab():
     return Lab()
 
 
-def test_the_hand_trails_a_steady_set_point_by_the_filter_and_the_damping(lab):
+def test_hand_trails_by_filter_and_damping(lab):
     lab.stream(2.5, velocity=0.1)
     assert (lab.robot.hand.set_point[0][1] - lab.y) / 0.1 == pytest.approx(0.2 + 2.0 / math.sqrt(200.0), abs=0.01)
 
 
-def test_the_turn_trails_more_because_the_controller_is_softer_about_the_vertical(lab):
-    lab.stream(4.0, turn_rate=0.3)
+def test_turn_trails_by_the_law_of_the_error_quaternion(lab):
+    lab.stream(8.0, turn_rate=0.3)
     hand = lab.robot.hand
     behind = rotation_vector(multiply(hand.set_point[1], inverse(hand.orientation)))
-    assert behind[2] / 0.3 == pytest.approx(0.2 + 2.0 / math.sqrt(10.0), abs=0.03)
+    assert behind[2] == pytest.approx(0.3 * 0.2 + 2.0 * math.asin(2.0 * 0.3 / math.sqrt(10.0)), abs=0.01)
 
 
-def test_a_stiffer_controller_trails_less(lab):
+def test_torque_is_stiffness_times_sine_of_half_the_error(lab):
+    """As in cartesian_impedance_example_controller: the vector part of the error quaternion."""
+    hand = lab.robot.hand
+    hand.set_stiffness(200.0, 20.0)
+    lab.wait(3.0)
+    hand.set_point = (hand.set_point[0], multiply(turned_by((0.0, 0.0, 0.5)), hand.orientation))
+    hand._target_orientation = hand.set_point[1]
+    hand.advance()
+    assert hand.torque[2] == pytest.approx(20.0 * math.sin(0.25), abs=1e-3)
+
+
+def test_stiffer_controller_trails_less(lab):
     lab.robot.hand.set_stiffness(400.0, 30.0)
     lab.wait(2.0)
     lab.stream(2.5, velocity=0.1)
     assert (lab.robot.hand.set_point[0][1] - lab.y) / 0.1 == pytest.approx(0.2 + 2.0 / math.sqrt(400.0), abs=0.01)
 
 
-def test_friction_holds_the_hand_short_of_its_goal():
+def test_friction_stops_hand_short_of_set_point():
     lab = Lab(friction=2.0)
     lab.send(0.05)
     lab.wait(4.0)
     assert 0.005 < 0.05 - lab.y <= 2.0 / 200.0 + 1e-6
 
 
-def test_a_busy_machine_does_not_change_the_motion():
+def test_motion_is_independent_of_update_period():
     often, seldom = Lab(), Lab()
     for lab, period in ((often, 0.005), (seldom, 0.5)):
         lab.send(0.08)
@@ -111,7 +122,7 @@ def test_a_busy_machine_does_not_change_the_motion():
     assert seldom.y == pytest.approx(often.y, abs=1e-9)
 
 
-def test_a_set_point_too_far_away_trips_a_reflex_that_holds_the_arm(lab):
+def test_distant_set_point_trips_reflex(lab):
     lab.stream(1.0, velocity=0.05)
     lab.send(lab.y + 0.3)
     assert lab.robot.mode == REFLEX
@@ -123,7 +134,7 @@ def test_a_set_point_too_far_away_trips_a_reflex_that_holds_the_arm(lab):
     assert lab.y == stands_at
 
 
-def test_a_force_above_the_limit_that_was_set_trips_a_reflex():
+def test_force_above_limit_trips_reflex():
     lab = Lab(drives=False)
     lab.robot.command("Set Collision Behavior", lambda: setattr(lab.robot, "force_limits", (2.0,) * 6))
     lab.robot.change_controllers(moves_the_arm=True, impedance=True)
@@ -134,12 +145,12 @@ def test_a_force_above_the_limit_that_was_set_trips_a_reflex():
     assert abs(lab.robot.felt[1]) > 2.0
 
 
-def test_recovery_starts_the_controller_again_where_the_arm_is(lab):
+def test_recovery_restarts_controller_at_present_pose(lab):
     lab.stream(1.0, velocity=0.1)
     lab.robot.reflex("cartesian_reflex")
     lab.wait(0.2)
     stands_at = lab.y
-    lab.send(0.05)  # to a controller that does not drive: it forgets that when it is started
+    lab.send(0.05)  # discarded: the controller is not active
     lab.robot.begin_recovery()
     assert lab.robot.mode == RECOVERY
     lab.robot.end_recovery()
@@ -151,7 +162,7 @@ def test_recovery_starts_the_controller_again_where_the_arm_is(lab):
     assert lab.y > stands_at + 0.02
 
 
-def test_recoveries_fail_as_often_as_was_asked_for(lab):
+def test_recoveries_fail_as_often_as_configured(lab):
     lab.robot.reflex("cartesian_reflex")
     lab.robot.fail_next_recovery()
     lab.robot.fail_next_recovery()
@@ -163,7 +174,21 @@ def test_recoveries_fail_as_often_as_was_asked_for(lab):
     assert lab.robot.mode == MOVE
 
 
-def test_setters_are_refused_while_the_arm_is_driven_and_in_a_reflex(lab):
+def test_recovery_ignores_errors_from_before_a_restart_of_franka_control():
+    """As from franka_ros 0.10.2 on: only a rejected motion of its own makes franka_control recover the robot."""
+    lab = Lab(recovers_own_errors_only=True)
+    lab.robot.restart_control()
+    for _ in range(2):
+        lab.recover()
+        assert lab.robot.mode == REFLEX
+    lab.robot.change_controllers(moves_the_arm=True, impedance=True)
+    assert "Move command rejected" in lab.log[-1]
+    lab.recover()
+    assert lab.robot.mode == MOVE
+    assert not lab.robot.errors
+
+
+def test_setters_are_rejected_in_motion_and_reflex(lab):
     done = []
     text = r'libfranka: Set Load command rejected: command not possible in the current mode \("{}"\)!'
     with pytest.raises(CommandError, match=text.format("Move")):
@@ -178,7 +203,7 @@ def test_setters_are_refused_while_the_arm_is_driven_and_in_a_reflex(lab):
     assert done == [3]
 
 
-def test_the_user_stop_is_released_by_its_user_and_still_needs_a_recovery(lab):
+def test_released_user_stop_needs_recovery(lab):
     lab.stream(1.0, velocity=0.1)
     lab.robot.set_user_stop(True)
     assert lab.robot.mode == USER_STOPPED
@@ -195,14 +220,14 @@ def test_the_user_stop_is_released_by_its_user_and_still_needs_a_recovery(lab):
     assert lab.robot.mode == MOVE
 
 
-def test_newer_versions_go_on_when_the_user_stop_is_released():
+def test_newer_versions_recover_after_user_stop():
     lab = Lab(recovers_after_user_stop=True)
     lab.robot.set_user_stop(True)
     lab.robot.set_user_stop(False)
     assert lab.robot.mode == MOVE
 
 
-def test_a_controller_that_is_started_while_the_user_stop_is_pressed_does_not_drive_the_arm():
+def test_controller_started_during_user_stop_is_inactive():
     lab = Lab(drives=False)
     lab.robot.set_user_stop(True)
     lab.robot.change_controllers(moves_the_arm=True, impedance=True)
@@ -213,7 +238,7 @@ def test_a_controller_that_is_started_while_the_user_stop_is_pressed_does_not_dr
     assert lab.robot.mode == MOVE
 
 
-def test_a_jump_is_in_what_is_reported_and_not_in_the_truth(lab):
+def test_jump_changes_reported_pose_only(lab):
     lab.robot.jump((0.05, 0.03, 0.0), 0.2)
     assert lab.robot.hand.position == pytest.approx([0.525, 0.03, 0.3])
     position, orientation = lab.robot.true_pose()
@@ -221,12 +246,12 @@ def test_a_jump_is_in_what_is_reported_and_not_in_the_truth(lab):
     assert orientation == pytest.approx(DOWN)
 
 
-def test_a_robot_that_hears_nothing_of_its_computer_stops(lab):
+def test_lost_contact_stops_robot(lab):
     lab.robot.lose_contact()
     assert lab.robot.errors == {"communication_constraints_violation"}
 
 
-def test_the_truth_tells_what_the_arm_did_and_begins_anew(lab):
+def test_truth_records_motion_and_resets(lab):
     lab.stream(1.0, velocity=0.1)
     truth = lab.robot.take_truth()
     assert truth["set_points"] == 100
@@ -250,7 +275,7 @@ def states(manager):
     return {one.name: one.state for one in manager.loaded}
 
 
-def test_a_strict_switch_does_all_or_nothing_and_best_effort_what_it_can(manager):
+def test_strict_switch_is_all_or_nothing(manager):
     with pytest.raises(ControllerError, match="no controller with this name exists"):
         manager.switch([IMPEDANCE, "unknown"], [], STRICT)
     with pytest.raises(ControllerError, match="since it is not running"):
@@ -265,7 +290,7 @@ def test_a_strict_switch_does_all_or_nothing_and_best_effort_what_it_can(manager
     assert states(manager)[IMPEDANCE] == STOPPED
 
 
-def test_two_that_claim_the_same_interface_conflict_but_torques_and_positions_do_not(manager):
+def test_same_interface_conflicts_but_effort_and_position_do_not(manager):
     manager.load("joint_velocity_example_controller")
     manager.switch(["position_joint_trajectory_controller"], [], STRICT)
     with pytest.raises(ControllerError, match="resource conflict"):
@@ -274,27 +299,27 @@ def test_two_that_claim_the_same_interface_conflict_but_torques_and_positions_do
     assert states(manager)[IMPEDANCE] == states(manager)["position_joint_trajectory_controller"] == RUNNING
 
 
-def test_only_a_controller_with_parameters_of_a_known_type_is_loaded(manager):
+def test_load_requires_parameters_of_known_type(manager):
     with pytest.raises(ControllerError, match="type was not specified"):
         manager.load("unknown")
     with pytest.raises(ControllerError, match="already loaded"):
         manager.load(IMPEDANCE)
     with pytest.raises(ControllerError, match="failed"):
-        manager.load("effort_joint_trajectory_controller")  # refused by the fixture
+        manager.load("effort_joint_trajectory_controller")  # configured to fail by the fixture
     for missing, text in (("arm_id", "parameter arm_id"), ("joint_names", "no joint_names")):
         values = {key: value for key, value in PARAMETERS[IMPEDANCE].items() if key != missing}
         with pytest.raises(ControllerError, match=text):
             ControllerManager({IMPEDANCE: values}.get, list).load(IMPEDANCE)
 
 
-def test_a_running_controller_is_not_unloaded(manager):
+def test_running_controller_is_not_unloaded(manager):
     with pytest.raises(ControllerError, match="still running"):
         manager.unload("franka_state_controller")
     manager.unload(IMPEDANCE)
     assert IMPEDANCE not in states(manager)
 
 
-def test_the_joints_follow_the_flange():
+def test_joints_follow_flange():
     flange = np.diag([1.0, -1.0, -1.0, 1.0])
     flange[:3, 3] = START
     tracker = JointTracker(flange)
@@ -320,7 +345,7 @@ def frame(camera):
     return camera.frame(pose)
 
 
-def test_the_middle_of_the_picture_is_what_the_library_renders(frame):
+def test_middle_of_image_is_rendered_by_library(frame):
     config = Config()
     scene = Scene(load_world("diagonal", config.workspace.box()), config.camera)
     rendered = scene.render(np.array([0.39, -0.1, 0.0]), 0.3)
@@ -334,7 +359,7 @@ def test_the_middle_of_the_picture_is_what_the_library_renders(frame):
     ("encoding", "decode", "tolerance"),
     [("bgr8", cv2.COLOR_BGR2RGB, 0), ("yuv422", cv2.COLOR_YUV2RGB_UYVY, 4), ("yuv422_yuy2", cv2.COLOR_YUV2RGB_YUY2, 4)],
 )
-def test_an_encoded_picture_is_decoded_to_the_same_colours(frame, encoding, decode, tolerance):
+def test_encoded_image_decodes_to_same_colours(frame, encoding, decode, tolerance):
     data, step = encode(frame, encoding)
     packed = np.frombuffer(data, np.uint8).reshape(360, 640, step // 640)
     difference = np.abs(cv2.cvtColor(packed, decode).astype(int) - frame)
