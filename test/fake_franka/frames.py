@@ -45,7 +45,7 @@ class Frames:
         return self.flange(position, orientation) @ self._flange_to_camera
 
     def ee_with_camera_at(self, x: float, y: float, theta: float) -> np.ndarray:
-        """Return the end effector for a camera that looks straight down from a planar pose [m, m, rad] at its height."""
+        """Return the end effector for a camera at a planar pose [m, m, rad] and its height, looking straight down."""
         camera = np.eye(4)
         camera[:3, :3] = optical_rotation(theta)
         camera[:3, 3] = x, y, self._camera_height

@@ -31,6 +31,7 @@ from threads import in_a_thread
 TIMEOUT = 60.0
 CENTRE = Workspace().centre
 OURS, OTHER = "cartesian_impedance_example_controller", "position_joint_trajectory_controller"
+IDLE = 1  # robot_mode
 OPERATOR = {"callerid": "/operator"}
 
 
@@ -313,7 +314,8 @@ class FrankaArmTest(unittest.TestCase):
         from franka_msgs.srv import SetLoad  # noqa: PLC0415  made by setUpClass
 
         self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0))
-        until(lambda: rospy.ServiceProxy("franka_control/set_load", SetLoad)(0.5, [0.0] * 3, [0.0] * 9).success)
+        until(lambda: self.truth()["mode"] == IDLE)
+        self.assertTrue(rospy.ServiceProxy("franka_control/set_load", SetLoad)(0.5, [0.0] * 3, [0.0] * 9).success)
         self.assertEqual(self.truth()["load"], 0.5)
         until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
         self.assertTrue(self.recover().success)
@@ -352,7 +354,7 @@ class FrankaArmTest(unittest.TestCase):
 
         until(tried)
 
-    def test_tail_pose_jump_aborts_move_and_holds_arm(self):
+    def test_z_pose_jump_aborts_move_and_holds_arm(self):
         """One of the last: afterwards the reported poses are wrong."""
         move = self.moving()
         self.trigger("pose_jump")
