@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The arm when the program that commands it dies or hangs, and when an operator stops it: it comes to rest."""
+"""The arm stops if its commander dies or hangs, or if an operator stops it."""
 
 import threading
 import time
@@ -21,7 +21,7 @@ from node_process import NodeProcess, frozen
 STOPPED = "stopped by /check_dead_planner: call /arm/recover to resume"
 TIMEOUT = 60.0
 AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
-STEPS_UNDER_WAY = 2  # one that the arm is making, and one whose state has not reached the test
+CURRENT_STEPS = 2  # the one in execution, and one whose state has not been received yet
 BRAKING = np.array([0.02, 0.02, 0.2])  # m, m, rad
 
 
@@ -80,55 +80,55 @@ class DeadPlannerTest(unittest.TestCase):
 
     def wait_for_progress(self):
         before = self.observed
-        self.wait_for(lambda: self.observed > before + 2, "exploration did not go on")
+        self.wait_for(lambda: self.observed > before + 2, "exploration did not resume")
 
-    def check_that_another_node_is_refused(self):
-        answer = self.move(0.1, 0.0, 0.0, 0.2)
-        self.assertFalse(answer.success)
-        self.assertEqual(answer.cause, ArmCause.BUSY)
-        self.assertIn("/ergodic_planner", answer.message)
+    def check_another_node_is_rejected(self):
+        response = self.move(0.1, 0.0, 0.0, 0.2)
+        self.assertFalse(response.success)
+        self.assertEqual(response.cause, ArmCause.BUSY)
+        self.assertIn("/ergodic_planner", response.message)
 
-    def check_that_the_arm_comes_to_rest(self, since):
-        """Without anybody's help, and not farther away than steps and braking take."""
+    def check_arm_stops(self, since):
+        """Check that the arm stops within the distance of the current steps and of braking."""
         self.wait_for(lambda: self.arm_values().get("commander") == "none", "the arm still has a commander")
         self.wait_for(lambda: np.all(np.abs(self.states[-1][1]) <= AT_REST), "the arm still moves")
-        went = np.ptp([state for state, _ in self.states[since:]], axis=0)
-        self.assertTrue(np.all(went <= STEPS_UNDER_WAY * self.one_step + BRAKING), went)
+        travelled = np.ptp([state for state, _ in self.states[since:]], axis=0)
+        self.assertTrue(np.all(travelled <= CURRENT_STEPS * self.one_step + BRAKING), travelled)
 
     def arm_values(self):
         return {pair.key: pair.value for pair in self.health["arm"].values}
 
     def wait_for_health(self, node, level, words):
-        def is_told():
+        def is_reported():
             return words in self.health[node].message and self.health[node].level == level
 
-        self.wait_for(is_told, f"{node} does not say {words!r}")
+        self.wait_for(is_reported, f"{node} does not report {words!r}")
 
-    def test_the_arm_of_a_planner_that_was_killed_comes_to_rest(self):
+    def test_arm_stops_if_planner_is_killed(self):
         self.planner.kill()
         since = len(self.states) - 1
-        self.check_that_another_node_is_refused()
-        self.check_that_the_arm_comes_to_rest(since)
+        self.check_another_node_is_rejected()
+        self.check_arm_stops(since)
         type(self).planner = NodeProcess("ergodic_planner")
         self.wait_for_progress()
 
-    def test_the_arm_of_a_planner_that_hangs_comes_to_rest_and_is_taken_again_when_it_goes_on(self):
+    def test_arm_stops_if_planner_hangs_and_is_commanded_again(self):
         self.planner.freeze()
         since = len(self.states) - 1
-        self.check_that_another_node_is_refused()
-        self.check_that_the_arm_comes_to_rest(since)
+        self.check_another_node_is_rejected()
+        self.check_arm_stops(since)
         self.assertTrue(self.move(0.0, 0.0, 0.0, 0.2).success, "the arm is free")
         self.assertTrue(self.stop().success)
         self.planner.thaw()
         self.wait_for_progress()
 
-    def test_a_planner_that_waits_longer_than_that_keeps_the_arm(self):
+    def test_planner_waiting_beyond_timeout_keeps_arm(self):
         with frozen("/trainer"):
             threading.Event().wait(1.5 * self.lease)
-            self.check_that_another_node_is_refused()
+            self.check_another_node_is_rejected()
         self.wait_for_progress()
 
-    def test_an_operators_stop_lasts_until_the_arm_is_recovered_however_long(self):
+    def test_operator_stop_lasts_until_recover(self):
         self.assertIn("commands are rejected until /arm/recover", self.stop().message)
         self.wait_for_health("planner", DiagnosticStatus.ERROR, "arm held still: the arm was stopped by /check_d")
         self.wait_for_health(
@@ -144,19 +144,19 @@ class DeadPlannerTest(unittest.TestCase):
         self.wait_for_progress()
         self.wait_for_health("planner", DiagnosticStatus.OK, "exploring")
 
-    def test_a_stop_and_a_pause_last_longer_than_the_nodes_that_keep_them(self):
+    def test_stop_and_pause_survive_restart_of_nodes(self):
         pause, resume = (rospy.ServiceProxy(f"planner/{name}", Trigger) for name in ("pause", "resume"))
         self.assertTrue(pause().success)
         self.assertTrue(self.stop().success)
-        self.wait_for(lambda: rospy.get_param("/ergodic_planner/paused_by", ""), "the pause was not kept")
-        self.wait_for(lambda: rospy.get_param("/pybullet_arm/stopped_by", ""), "the stop was not kept")
+        self.wait_for(lambda: rospy.get_param("/ergodic_planner/paused_by", ""), "the pause was not stored")
+        self.wait_for(lambda: rospy.get_param("/pybullet_arm/stopped_by", ""), "the stop was not stored")
         observed = self.observed
         self.planner.kill()
         self.arm.kill()
         self.health.clear()
         type(self).arm = NodeProcess("pybullet_arm")
         type(self).planner = NodeProcess("ergodic_planner")
-        self.wait_for(lambda: {"arm", "planner"} <= set(self.health), "the nodes do not come back")
+        self.wait_for(lambda: {"arm", "planner"} <= set(self.health), "the nodes did not restart")
         self.wait_for_health("planner", DiagnosticStatus.WARN, "paused, waiting for a call of /planner/resume")
         self.wait_for_health(
             "arm", DiagnosticStatus.WARN, "stopped by /check_dead_planner: call /arm/recover to resume"
@@ -167,11 +167,11 @@ class DeadPlannerTest(unittest.TestCase):
         self.wait_for_progress()
         self.assertGreater(self.observed, observed)
 
-    def test_an_arm_that_is_started_anew_with_its_clock_is_gone_on_with(self):
+    def test_planner_resumes_with_restarted_arm_and_clock(self):
         clocks = self.clocks
         self.arm.kill()
-        self.wait_for_health("planner", DiagnosticStatus.ERROR, "did not answer: unable to connect")
-        with frozen("/ergodic_planner"):  # else it may be past what it was before anybody else hears the new clock
+        self.wait_for_health("planner", DiagnosticStatus.ERROR, "no response from /arm/move")
+        with frozen("/ergodic_planner"):  # else the clock may pass its old value before it is received
             type(self).arm = NodeProcess("pybullet_arm")
             self.wait_for(lambda: self.clocks > clocks, "the clock did not go back")
         self.wait_for_progress()

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Requests full of garbage: each is answered, none moves the arm beyond its limits, and the nodes go on answering."""
+"""Malformed requests: each gets a response, none moves the arm beyond its limits, and all nodes keep responding."""
 
 import os
 import socket
@@ -76,29 +76,29 @@ class GarbageTest(unittest.TestCase):
         rospy.wait_for_service(name, TIMEOUT)
         return rospy.ServiceProxy(name, service_class)
 
-    def check_refused(self, answer):
-        self.assertFalse(answer.success)
-        self.assertGreater(len(answer.message), 10)
-        self.assertLess(len(answer.message), 2000)
-        self.assertNotIn("Traceback", answer.message)
+    def check_refused(self, response):
+        self.assertFalse(response.success)
+        self.assertGreater(len(response.message), 10)
+        self.assertLess(len(response.message), 2000)
+        self.assertNotIn("Traceback", response.message)
 
     @settings(REASONABLE, max_examples=150)
     @given(*[NUMBERS] * 4)
-    def test_no_velocity_for_no_duration_leads_out_of_the_workspace_or_above_the_limits(self, vx, vy, omega, duration):
-        answer = self.move(vx, vy, omega, duration)
-        if answer.success:
-            self.check_within_limits(answer.state)
+    def test_any_velocity_stays_within_workspace_and_limits(self, vx, vy, omega, duration):
+        response = self.move(vx, vy, omega, duration)
+        if response.success:
+            self.check_within_limits(response.state)
         else:
-            self.check_refused(answer)
+            self.check_refused(response)
 
     @given(*[NUMBERS] * 3)
     @REASONABLE
-    def test_no_pose_leads_out_of_the_workspace(self, x, y, theta):
-        answer = self.go_to(x, y, theta)
-        if answer.success:
-            self.check_within_limits(answer.state)
+    def test_any_pose_stays_within_workspace(self, x, y, theta):
+        response = self.go_to(x, y, theta)
+        if response.success:
+            self.check_within_limits(response.state)
         else:
-            self.check_refused(answer)
+            self.check_refused(response)
 
     def check_within_limits(self, message):
         state, velocity = state_arrays(message)
@@ -108,46 +108,46 @@ class GarbageTest(unittest.TestCase):
 
     @given(OBSERVATIONS)
     @REASONABLE
-    def test_no_observation_that_is_none_is_stored(self, observation):
+    def test_malformed_observation_not_stored(self, observation):
         before = len(self.trajectory().states)
-        answer = self.observe(observation)
-        if answer.success:
+        response = self.observe(observation)
+        if response.success:
             state, _ = state_arrays(observation.state)
             self.assertTrue(np.all(np.isfinite(state)))
             self.assertEqual(len(observation.image.data), 97200)
         else:
-            self.check_refused(answer)
+            self.check_refused(response)
             self.assertEqual(len(self.trajectory().states), before)
 
     @given(st.lists(NUMBERS, max_size=40))
     @REASONABLE
-    def test_states_that_are_none_have_no_entropy(self, states):
-        answer = self.entropy(0, states)
+    def test_entropy_of_malformed_states_rejected(self, states):
+        response = self.entropy(0, states)
         if len(states) % 3 or not np.all(np.isfinite(states)):
-            self.check_refused(answer)
+            self.check_refused(response)
         else:
-            self.assertTrue(answer.success, answer.message)
+            self.assertTrue(response.success, response.message)
 
-    def test_more_states_than_a_call_may_have_are_refused(self):
+    def test_too_many_states_rejected(self):
         self.check_refused(self.entropy(0, [0.0] * 300003))
 
-    def test_a_model_that_will_never_be_is_not_waited_for_for_ever(self):
-        answer = self.entropy(2**32 - 1, [0.475, 0.0, 0.0])
-        self.assertFalse(answer.ready)
+    def test_entropy_of_impossible_update_returns_not_ready(self):
+        response = self.entropy(2**32 - 1, [0.475, 0.0, 0.0])
+        self.assertFalse(response.ready)
 
     @given(st.lists(STATES, max_size=3), st.lists(IMAGES, max_size=3))
     @REASONABLE
-    def test_images_that_are_none_are_not_encoded(self, states, images):
-        answer = self.encode(states, images)
-        if answer.success:
-            self.assertTrue(np.all(np.isfinite(answer.means)))
+    def test_malformed_images_not_encoded(self, states, images):
+        response = self.encode(states, images)
+        if response.success:
+            self.assertTrue(np.all(np.isfinite(response.means)))
             self.assertEqual(len(states), len(images))
         else:
-            self.check_refused(answer)
+            self.check_refused(response)
 
     @given(NAMES, st.lists(NAMES, max_size=3), UINT32, NAMES)
     @REASONABLE
-    def test_names_that_are_none_lead_nowhere(self, name, sessions, images, replay):
+    def test_invalid_names_create_no_files(self, name, sessions, images, replay):
         before = self.files_around_the_root()
         self.check_refused(self.identify(name, sessions, images, replay, False))
         self.assertEqual(self.files_around_the_root(), before)
@@ -160,24 +160,24 @@ class GarbageTest(unittest.TestCase):
 
     @given(st.binary(max_size=300))
     @REASONABLE
-    def test_bytes_that_are_no_connection_leave_the_port_open(self, noise):
+    def test_random_bytes_leave_port_open(self, noise):
         for name in ("trainer/observe", "arm/move"):
             uri = urlparse(rospy.get_master().lookupService(rospy.resolve_name(name))[2])
             with socket.create_connection((uri.hostname, uri.port), TIMEOUT) as connection:
                 connection.sendall(noise)
 
     def tearDown(self):
-        """Whatever was sent, every node still answers, and the arm has never been where it must not be."""
+        """Check that every node still responds, and that the arm has always been within its limits."""
         state = np.array([0.475, 0.0, 0.0])
-        answer = self.go_to(*state)
-        self.assertTrue(answer.success, answer.message)
+        response = self.go_to(*state)
+        self.assertTrue(response.success, response.message)
         count = len(self.trajectory().states) // 3
         stamp = rospy.Time(count)
         picture = image_message(stamp, np.full((180, 180, 3), count % 250, np.uint8))
         good = Observation(Header(stamp=stamp), count, state_message(stamp, state, np.zeros(3)), picture)
-        answer = self.observe(good)
-        self.assertTrue(answer.success, answer.message)
-        self.assertEqual(answer.observations, count + 1)
+        response = self.observe(good)
+        self.assertTrue(response.success, response.message)
+        self.assertEqual(response.observations, count + 1)
         self.assertTrue(self.encode([good.state], [picture]).success)
         self.assertGreater(len(self.fingerprint().message), 10)
         for message in list(self.seen):

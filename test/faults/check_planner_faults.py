@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The planner when arm or camera fail: it holds the arm still, says why, stores nothing wrong, and goes on."""
+"""The planner with a faulty arm or camera: it holds the arm still, reports why, stores nothing wrong, and resumes."""
 
 import threading
 import time
@@ -26,11 +26,11 @@ SPEEDS = np.array([0.15, 0.15, 1.5])
 
 
 class FaultyArm:
-    """An arm that moves as told, in real time, with a camera that sees the pose; `fault` names what is broken now."""
+    """An arm with an exact real-time motion and a camera that encodes the pose; `fault` names the present fault."""
 
     def __init__(self):
         self.fault = ""
-        self.failures = 0  # commands from now on that end in a reflex
+        self.failures = 0  # number of next commands that end in a reflex
         self.commands = []
         self.last_call = ""
         self.released = threading.Event()
@@ -111,7 +111,7 @@ class FaultyArm:
         self._images.publish(image)
 
     def image(self, state):
-        """What the camera sees: its own pose."""
+        """Return the camera's image: an encoding of its pose."""
         if self.fault == "image of another size":
             return image_message(state.header.stamp, np.zeros((48, 64, 3), np.uint8))
         picture = np.zeros(SHAPE, np.uint8)
@@ -120,7 +120,7 @@ class FaultyArm:
         return image_message(state.header.stamp, picture)
 
     def _drive(self, velocity):
-        """From now on at a velocity -> the state that it begins in."""
+        """Set the velocity; return the present state."""
         with self._lock:
             reached = self._advance()
             self._velocity = velocity
@@ -134,7 +134,7 @@ class FaultyArm:
 
 
 def pose_seen(image):
-    """The pose that an image of the faulty arm's camera shows, (3,)."""
+    """Return the pose (3,) encoded in an image."""
     return np.frombuffer(image_array(image, *SHAPE[:2]).reshape(-1)[:24].tobytes())
 
 
@@ -180,63 +180,63 @@ class PlannerFaultsTest(unittest.TestCase):
 
     def wait_for_progress(self):
         before = self.last.index
-        self.wait_for(lambda: self.last.index > before + 2, "exploration did not go on")
+        self.wait_for(lambda: self.last.index > before + 2, "exploration did not resume")
 
-    def check_that_it_holds_still_and_recovers(self, fault, words, tries=1):
+    def check_fault(self, fault, words, commands=1):
         self.arm.fault = fault
         self.wait_for_words(words)
         stored, first = self.last.index, len(self.arm.commands)
-        self.wait_for(lambda: len(self.arm.commands) >= first + tries, "the arm was not told to hold still")
+        self.wait_for(lambda: len(self.arm.commands) >= first + commands, "the arm was not held still")
         self.assertEqual(self.last.index, stored)
         np.testing.assert_array_equal(np.abs(self.arm.commands[first:]).max(), 0.0)
         self.arm.fault = ""
         self.wait_for_progress()
 
     def wait_for_words(self, words):
-        self.wait_for(lambda: words in self.health["planner"].message, f"{words!r} was not said")
+        self.wait_for(lambda: words in self.health["planner"].message, f"{words!r} was not reported")
         self.assertEqual(self.health["planner"].level, DiagnosticStatus.ERROR)
 
-    def test_a_silent_camera(self):
-        self.check_that_it_holds_still_and_recovers("camera is silent", "no new image on /camera/image_raw")
-        self.wait_for(lambda: self.health["planner"].level == 0, "the trouble was not taken back")
+    def test_silent_camera(self):
+        self.check_fault("camera is silent", "camera timeout: no new image on /camera/image_raw")
+        self.wait_for(lambda: self.health["planner"].level == 0, "the error was not cleared")
 
-    def test_a_camera_that_keeps_sending_one_stamp(self):
-        self.check_that_it_holds_still_and_recovers("one stamp", "images on /camera/image_raw keep coming with one")
+    def test_camera_repeating_one_stamp(self):
+        self.check_fault("one stamp", "images on /camera/image_raw repeat one stamp")
 
-    def test_a_camera_that_keeps_sending_one_picture(self):
-        self.check_that_it_holds_still_and_recovers("frozen picture", "although it moved: the camera is frozen")
+    def test_camera_repeating_one_image(self):
+        self.check_fault("frozen picture", "camera frozen: images on /camera/image_raw have been byte-identical")
 
     def test_images_of_one_colour(self):
-        self.check_that_it_holds_still_and_recovers("image of one colour", "is of one single colour, [0, 0, 0]")
+        self.check_fault("image of one colour", "has a single colour, [0, 0, 0]")
 
     def test_images_from_the_future(self):
         words = "s in the future: synchronise the computers' clocks"
-        self.check_that_it_holds_still_and_recovers("images from the future", words)
+        self.check_fault("images from the future", words)
 
     def test_images_of_another_size(self):
-        self.check_that_it_holds_still_and_recovers("image of another size", "image is 64 x 48 pixels")
+        self.check_fault("image of another size", "image is 64 x 48 pixels")
 
-    def test_a_silent_pose(self):
-        self.check_that_it_holds_still_and_recovers("pose is silent", "no state on /arm/state around the image's stamp")
+    def test_silent_pose(self):
+        self.check_fault("pose is silent", "no state on /arm/state around the image's stamp")
 
-    def test_a_pose_that_jumps(self):
-        self.check_that_it_holds_still_and_recovers("pose jumps", "the pose on /arm/state jumped by 0.1")
+    def test_jumping_pose(self):
+        self.check_fault("pose jumps", "pose jump on /arm/state: 0.1")
 
-    def test_a_pose_that_is_not_a_number(self):
-        self.check_that_it_holds_still_and_recovers("pose is not a number", "not finite")
+    def test_non_finite_pose(self):
+        self.check_fault("pose is not a number", "invalid state on /arm/state: non-finite values")
 
-    def test_an_arm_that_an_operator_stopped_is_waited_for_longer_than_its_tries_last(self):
-        self.check_that_it_holds_still_and_recovers("stopped", "the arm was stopped by /operator", tries=6)
+    def test_stopped_arm_awaited_beyond_retries(self):
+        self.check_fault("stopped", "the arm was stopped by /operator", commands=6)
 
-    def test_an_arm_that_fails_is_tried_again(self):
+    def test_failed_command_retried(self):
         self.arm.failures = 3
         first = len(self.arm.commands)
         self.wait_for_words("the robot is in reflex mode (attempt ")
         self.wait_for_progress()
         self.assertEqual(self.arm.failures, 0)
-        np.testing.assert_array_equal(self.arm.commands[first + 2], 0.0, "the arm was not told to hold still")
+        np.testing.assert_array_equal(self.arm.commands[first + 2], 0.0, "the arm was not held still")
 
-    def test_an_arm_that_goes_on_failing_is_given_up_with_the_reason(self):
+    def test_planner_gives_up_after_retries_with_reason(self):
         self.arm.failures = 10**6
         self.assertEqual(self.planner.process.wait(TIMEOUT), 2)
         self.arm.failures = 0
@@ -248,73 +248,73 @@ class PlannerFaultsTest(unittest.TestCase):
     def call(self, name):
         return rospy.ServiceProxy(name, Trigger)()
 
-    def check_that_it_pauses(self, message="paused"):
-        answer = self.call("planner/pause")
-        self.assertEqual((answer.success, answer.message), (True, message))
+    def check_pause(self, message="paused"):
+        response = self.call("planner/pause")
+        self.assertEqual((response.success, response.message), (True, message))
         self.assertEqual(self.arm.last_call, "stop")
         commands = len(self.arm.commands)
-        self.wait_for(lambda: self.health["planner"].message == PAUSED, "it did not pause")
+        self.wait_for(lambda: self.health["planner"].message == PAUSED, "the planner did not pause")
         threading.Event().wait(1.0)
         self.assertEqual((len(self.arm.commands), self.arm.last_call), (commands, "stop"))
 
-    def check_that_it_resumes(self):
+    def check_resume(self):
         resumed_at = len(self.arm.commands)
-        answer = self.call("planner/resume")
-        self.assertEqual((answer.success, answer.message), (True, "exploring"))
+        response = self.call("planner/resume")
+        self.assertEqual((response.success, response.message), (True, "exploring"))
         self.wait_for_progress()
-        np.testing.assert_array_equal(self.arm.commands[resumed_at], 0.0, "it has to look first")
+        np.testing.assert_array_equal(self.arm.commands[resumed_at], 0.0, "the arm must hold still first")
 
-    def test_a_paused_planner_moves_nothing_until_it_is_resumed(self):
-        self.check_that_it_pauses()
-        self.check_that_it_resumes()
+    def test_paused_planner_does_not_move_until_resumed(self):
+        self.check_pause()
+        self.check_resume()
 
-    def test_a_pause_is_answered_after_the_step_under_way(self):
+    def test_pause_responds_after_current_step(self):
         self.arm.fault = "slow"
         count = len(self.arm.commands)
         self.wait_for(lambda: len(self.arm.commands) > count, "no step began")
-        self.check_that_it_pauses()
+        self.check_pause()
         self.arm.fault = ""
-        self.check_that_it_resumes()
+        self.check_resume()
 
-    def test_a_pause_and_a_resume_tell_whether_they_changed_anything(self):
-        answer = self.call("planner/resume")
-        self.assertEqual((answer.success, answer.message), (False, "not paused"))
-        self.check_that_it_pauses()
-        answer = self.call("planner/pause")
-        self.assertEqual((answer.success, answer.message), (False, "already paused"))
-        self.check_that_it_resumes()
+    def test_pause_and_resume_report_whether_they_changed_state(self):
+        response = self.call("planner/resume")
+        self.assertEqual((response.success, response.message), (False, "not paused"))
+        self.check_pause()
+        response = self.call("planner/pause")
+        self.assertEqual((response.success, response.message), (False, "already paused"))
+        self.check_resume()
 
-    def test_a_planner_in_trouble_can_be_paused(self):
+    def test_planner_with_fault_can_be_paused(self):
         self.arm.fault = "camera is silent"
-        self.wait_for(lambda: self.health["planner"].level > 0, "the trouble was not said")
-        self.check_that_it_pauses()
+        self.wait_for(lambda: self.health["planner"].level > 0, "the fault was not reported")
+        self.check_pause()
         self.arm.fault = ""
-        self.check_that_it_resumes()
+        self.check_resume()
 
-    def test_a_planner_that_waits_for_the_trainer_can_be_paused(self):
+    def test_planner_waiting_for_trainer_can_be_paused(self):
         with frozen("/trainer"):
             threading.Event().wait(1.0)
-            self.check_that_it_pauses()
-        self.check_that_it_resumes()
+            self.check_pause()
+        self.check_resume()
 
-    def test_a_pause_that_the_arm_does_not_confirm_says_so_and_stops_the_arm_later(self):
+    def test_pause_unconfirmed_by_arm_reported_and_done_later(self):
         self.arm.released.clear()
         self.arm.fault = "frozen"
         count = len(self.arm.commands)
         self.wait_for(lambda: len(self.arm.commands) > count, "no step began")
-        answer = self.call("planner/pause")
-        self.assertTrue(answer.success)
-        self.assertIn("but the arm may still move: the arm has not responded", answer.message)
+        response = self.call("planner/pause")
+        self.assertTrue(response.success)
+        self.assertIn("but the arm may still move: the arm has not responded", response.message)
         self.arm.fault = ""
         self.arm.released.set()
         self.wait_for(lambda: self.arm.last_call == "stop", "the arm was not stopped")
-        self.check_that_it_resumes()
+        self.check_resume()
 
-    def test_z_everything_stored_is_where_the_arm_was(self):
+    def test_z_stored_states_are_those_of_the_arm(self):
         states = np.array(rospy.ServiceProxy("trainer/trajectory", GetTrajectory)().states).reshape(-1, 3)
         self.assertTrue(np.all(np.isfinite(states)))
         self.assertGreater(len(states), 10)
-        self.assertLess(self.residual, 1e-6, "an image was taken for a view from elsewhere")
+        self.assertLess(self.residual, 1e-6, "an image was paired with the state of another")
         observed, _ = state_arrays(self.last.state)
         self.assertTrue(np.any(np.all(np.isclose(states, observed), axis=1)))
 

@@ -1,4 +1,4 @@
-"""Kills the nodes of a learning run at random, again and again, until the run has ended all the same."""
+"""Kill the nodes of a learning run at random until the run has ended nevertheless."""
 
 import os
 import random
@@ -20,30 +20,30 @@ from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, processes_of, started
 
 EVERYTHING = "everything"
-INTERRUPTION = "nothing, interrupted"
+INTERRUPTION = "interrupt"
 TABLES = ("exploration.csv", "training.csv", "evaluation.csv")
 PROFILE = ROOT / "test" / "faults" / "crashes.yaml"
 NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
-STEPS_BETWEEN = (0, 1, 2, 4)  # steps that are made between two kills: some come while nodes are still starting
-LONGEST_WAIT = 0.4  # s after them
+STEPS_BETWEEN = (0, 1, 2, 4)  # steps between two kills: some come while nodes are still starting
+MAX_WAIT = 0.4  # s after these steps
 
 
 class Crash(NamedTuple):
-    """One kill: what was killed, and how many observations were stored by then."""
+    """A killed node, and the number of observations stored by then."""
 
     victim: str
     stored: int
 
 
 def kill(number: int) -> None:
-    """Kill one process as a power cut would; one that has ended already is left alone."""
+    """Send SIGKILL to a process, if it still exists."""
     with suppress(ProcessLookupError):
         os.kill(number, signal.SIGKILL)
 
 
 def kill_everything(launch: subprocess.Popen) -> None:
-    """Kill a roslaunch with all that it has started, so that nothing can tidy up."""
-    os.kill(launch.pid, signal.SIGSTOP)  # it would start nodes anew while they are being killed
+    """Kill a roslaunch and all its nodes at once, so that nothing is cleaned up."""
+    os.kill(launch.pid, signal.SIGSTOP)  # it would restart nodes while they are being killed
     children = processes_of(launch.pid)
     kill(launch.pid)
     for number in children.values():
@@ -52,7 +52,7 @@ def kill_everything(launch: subprocess.Popen) -> None:
 
 
 def stored_observations(path: Path) -> int:
-    """Observations that a session holds. Raises CorruptFileError for damage."""
+    """Return the number of stored observations. Raises CorruptFileError for damage."""
     if not (SessionPaths(path).observations / DATA_FILE).is_file():
         return 0
     with Session.open_read_only(path).open_observations() as store:
@@ -60,27 +60,27 @@ def stored_observations(path: Path) -> int:
 
 
 def acknowledged(path: Path) -> int:
-    """Steps that the planner has written down: each had been acknowledged before."""
+    """Return the number of steps in the planner's table; each was acknowledged before."""
     if not SessionPaths(path).config.is_file():
         return 0
     return len(Session.open_read_only(path).read_table("exploration")["step"])
 
 
 def learn_arguments(root: Path, **more: object) -> List[str]:
-    """Arguments of learn.launch for a short run in the session "run" below a folder."""
+    """Return arguments of learn.launch for a short run in the session "run" below a folder."""
     values = {"profile": PROFILE, "session_root": root, "session": "run", "seed": 1, **more}
     return [f"{name}:={value}" for name, value in values.items()]
 
 
 def outcome(path: Path) -> Dict[str, bytes]:
-    """What a whole run leaves behind, for comparison."""
+    """Return tables and weights of a complete run, for comparison."""
     weights, _ = load_model(SessionPaths(path).model)
     tables = {name: (path / name).read_bytes() for name in TABLES}
     return {**tables, **{name: tensor.numpy().tobytes() for name, tensor in weights.items()}}
 
 
 def is_finished(path: Path) -> bool:
-    """Whether a session has all that a whole run leaves behind."""
+    """Return whether a session has all files of a complete run."""
     check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", path]
     return subprocess.run(check, check=False, capture_output=True).returncode == 0
 
@@ -92,12 +92,21 @@ def crash(
     kills: int,
     seed: int,
     timeout: float,
-    say: Callable[[str], object] = lambda text: None,
+    log: Callable[[str], object] = lambda text: None,
 ) -> List[Crash]:
-    """Run learn.launch with these arguments to its end through so many kills -> what was killed.
+    """Run learn.launch to its end with a number of kills; return what was killed.
 
-    home: folder for logs; path: of the session. Raises AssertionError when an acknowledged observation is lost, or the
-    run does not end within timeout seconds.
+    Args:
+        home: folder for logs.
+        path: folder of the session.
+        arguments: of learn.launch.
+        kills: number of kills.
+        seed: of victims and times.
+        timeout: [s].
+        log: called with a line after each kill.
+
+    Raises:
+        AssertionError: an acknowledged observation is lost, or the run does not end within the timeout.
     """
     draw, crashes, ends_at = random.Random(seed), [], time.monotonic() + timeout
     victims = _victims(draw)
@@ -112,10 +121,10 @@ def crash(
                 if len(crashes) < kills:
                     reached = acknowledged(path) + draw.choice(STEPS_BETWEEN)
                     _wait(launch, lambda reached=reached: acknowledged(path) >= reached, ends_at)
-                _wait(launch, lambda: False, time.monotonic() + draw.uniform(0.0, LONGEST_WAIT))
+                _wait(launch, lambda: False, time.monotonic() + draw.uniform(0.0, MAX_WAIT))
                 processes = processes_of(launch.pid)
-                is_there = victim in processes or (victim not in NODES and "trainer" in processes)
-                if launch.poll() is not None or len(crashes) >= kills or not is_there:
+                is_running = victim in processes or (victim not in NODES and "trainer" in processes)
+                if launch.poll() is not None or len(crashes) >= kills or not is_running:
                     continue
                 before = acknowledged(path)
                 if victim == EVERYTHING:
@@ -128,18 +137,18 @@ def crash(
                 stored = stored_observations(path)
                 assert stored >= before, f"{before} observations were acknowledged, {stored} are stored"
                 crashes.append(Crash(victim, stored))
-                say(f"{len(crashes)} of {kills}: killed {victim} at observation {stored}")
+                log(f"{len(crashes)} of {kills}: killed {victim} at observation {stored}")
                 victim = next(victims)
     return crashes
 
 
 def _victims(draw: random.Random) -> Iterator[str]:
-    """What to kill next: everything in turn, in an order drawn anew each time."""
+    """Yield what to kill next: each of all victims once, in random order, repeatedly."""
     while True:
         yield from draw.sample([*NODES, EVERYTHING, INTERRUPTION], len(NODES) + 2)
 
 
 def _wait(launch: subprocess.Popen, condition: Callable[[], bool], until: float) -> None:
-    """Return when the condition holds, the launch has ended, or the time has come."""
+    """Return when the condition holds, the launch has ended, or the time `until` is reached."""
     while launch.poll() is None and time.monotonic() < until and not condition():
         time.sleep(0.02)

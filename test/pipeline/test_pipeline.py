@@ -1,4 +1,4 @@
-"""The whole pipeline through learn.launch: it ends by itself, and is honest when something is wrong."""
+"""Whole runs of learn.launch: results, refusals, killed nodes, namespaces."""
 
 import os
 import signal
@@ -33,13 +33,13 @@ def wait_for(condition, process, timeout=120):
     ends_at = time.monotonic() + timeout
     while not condition():
         assert process.poll() is None, "the launch ended"
-        assert time.monotonic() < ends_at, "it did not happen in time"
+        assert time.monotonic() < ends_at, "timeout"
         time.sleep(0.1)
 
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
-    """A short run, for the tests that only look at what it left behind."""
+    """A short run, for tests of its results."""
     home = tmp_path_factory.mktemp("first")
     output = launch_to_the_end(home, *arguments(home, record="true"))
     return home / "run", output

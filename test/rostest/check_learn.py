@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The learning pipeline while it runs: services, topics, and the session it leaves behind."""
+"""The learning pipeline during a run: services, topics, and the resulting session."""
 
 import copy
 import threading
@@ -7,6 +7,7 @@ import unittest
 from pathlib import Path
 
 import numpy as np
+import rosgraph
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from embodied_active_learning.msg import Observation, PlanarState, TargetDistribution, TrainingStatus
@@ -22,6 +23,7 @@ from embodied_active_learning.srv import (
 from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker
 
 import rostest
 from embodied_active_learning.ros.conversions import state_arrays
@@ -29,6 +31,23 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
 
 TIMEOUT = 60.0
+
+
+def positions(message):
+    return str([pose.pose.position for pose in message.poses]) if message.poses else ""
+
+
+# Every topic of planner and trainer, with the content that must differ between two messages.
+CONTENTS = {
+    "observation": (Observation, lambda message: message.image.data),
+    "target_distribution": (TargetDistribution, lambda message: tuple(message.time_average)),
+    "training_status": (TrainingStatus, lambda message: str(message.observations)),
+    "travelled_path": (PathMessage, positions),
+    "planned_path": (PathMessage, positions),
+    "target_cloud": (PointCloud2, lambda message: message.data),
+    "time_average_cloud": (PointCloud2, lambda message: message.data),
+    "workspace": (Marker, lambda message: str(message.points)),
+}
 
 
 def service(name, service_class):
@@ -41,8 +60,19 @@ class LearnTest(unittest.TestCase):
     def setUpClass(cls):
         cls.status = None
         cls.changed = threading.Condition()
+        cls.contents = {topic: set() for topic in CONTENTS}
         rospy.Subscriber("training_status", TrainingStatus, cls.on_status)
+        for topic, (message_class, content) in CONTENTS.items():
+            rospy.Subscriber(topic, message_class, cls.on_message, (topic, content))
         cls.first = rospy.wait_for_message("observation", Observation, TIMEOUT)
+
+    @classmethod
+    def on_message(cls, message, arguments):
+        topic, content = arguments
+        if len(content(message)):
+            with cls.changed:
+                cls.contents[topic].add(content(message))
+                cls.changed.notify_all()
 
     @classmethod
     def on_status(cls, message):
@@ -56,7 +86,7 @@ class LearnTest(unittest.TestCase):
             assert cls.changed.wait_for(lambda: cls.status is not None and condition(cls.status), 2 * TIMEOUT)
             return cls.status
 
-    def test_the_target_and_the_time_average_are_distributions_over_the_samples(self):
+    def test_target_and_time_average_are_distributions(self):
         message = rospy.wait_for_message("target_distribution", TargetDistribution, TIMEOUT)
         self.assertEqual(len(message.states), 3 * len(message.target))
         self.assertAlmostEqual(sum(message.target), 1.0, places=6)
@@ -64,34 +94,47 @@ class LearnTest(unittest.TestCase):
         self.assertGreater(message.ergodic_measure, 0.0)
         self.assertTrue(0.0 < message.coverage < 1.0)
 
-    def test_rviz_gets_paths_and_clouds(self):
-        for topic, message_class in (("travelled_path", PathMessage), ("target_cloud", PointCloud2)):
-            message = rospy.wait_for_message(topic, message_class, TIMEOUT)
+    def test_published_topics_are_neither_empty_nor_constant(self):
+        _, _, (publishers, _, _) = rosgraph.Master(rospy.get_name()).target.getSystemState(rospy.get_name())
+        topics = {topic for topic, nodes in publishers if {"/ergodic_planner", "/trainer"} & set(nodes)}
+        self.assertEqual(topics - {"/rosout", "/diagnostics"}, {f"/{topic}" for topic in CONTENTS})
+        with self.changed:
+            self.changed.wait_for(lambda: not self.missing_contents(), TIMEOUT)
+        self.assertEqual(self.missing_contents(), [])
+
+    @classmethod
+    def missing_contents(cls):
+        """Return the topics with less than two different, non-empty contents; the workspace is constant."""
+        return [topic for topic in CONTENTS if len(cls.contents[topic]) < (1 if topic == "workspace" else 2)]
+
+    def test_rviz_displays_are_in_base_frame(self):
+        for topic in ("travelled_path", "planned_path", "target_cloud", "time_average_cloud", "workspace"):
+            message = rospy.wait_for_message(topic, CONTENTS[topic][0], TIMEOUT)
             self.assertEqual(message.header.frame_id, "panda_link0")
 
-    def test_a_paused_planner_has_given_the_arm_back(self):
+    def test_paused_planner_releases_arm(self):
         pause, resume = service("planner/pause", Trigger), service("planner/resume", Trigger)
         self.assertEqual(pause().message, "paused")
         state = rospy.wait_for_message("arm/state", PlanarState, TIMEOUT)
         np.testing.assert_allclose(state_arrays(state)[1], 0.0, atol=1e-4)
-        answer = service("arm/move", MoveArm)(0.05, 0.0, 0.0, 0.2)
-        self.assertTrue(answer.success, answer.message)
+        response = service("arm/move", MoveArm)(0.05, 0.0, 0.0, 0.2)
+        self.assertTrue(response.success, response.message)
         self.assertTrue(service("arm/stop", Trigger)().success)
         self.assertTrue(resume().success)
         rospy.wait_for_message("observation", Observation, TIMEOUT)
 
-    def test_another_node_cannot_drive_the_arm_meanwhile(self):
-        answer = service("arm/move", MoveArm)(0.1, 0.0, 0.0, 0.2)
-        self.assertFalse(answer.success)
-        self.assertIn("/ergodic_planner", answer.message)
+    def test_other_node_cannot_command_arm(self):
+        response = service("arm/move", MoveArm)(0.1, 0.0, 0.0, 0.2)
+        self.assertFalse(response.success)
+        self.assertIn("/ergodic_planner", response.message)
 
-    def test_an_observation_handed_over_again_is_not_stored_twice(self):
+    def test_repeated_observation_not_stored_twice(self):
         observe = service("trainer/observe", Observe)
         before = observe(ObserveRequest(self.first))
         self.assertTrue(before.success, before.message)
         self.assertGreater(before.observations, self.first.index)
 
-    def test_an_observation_that_leaves_a_gap_or_is_not_a_number_is_refused(self):
+    def test_observation_with_gap_or_nan_rejected(self):
         observe = service("trainer/observe", Observe)
         gap = Observation(self.first.header, 10**6, self.first.state, self.first.image)
         self.assertFalse(observe(ObserveRequest(gap)).success)
@@ -99,7 +142,7 @@ class LearnTest(unittest.TestCase):
         broken.state.x = float("nan")
         self.assertFalse(observe(ObserveRequest(broken)).success)
 
-    def test_the_trainer_answers_entropy_and_latents_while_it_learns(self):
+    def test_entropy_and_latents_available_during_training(self):
         self.wait_for_status(lambda status: status.updates > 0)
         states = np.array([[0.4, 0.0, 0.0], [0.5, 0.1, 1.0]])
         entropy = service("trainer/entropy", EvaluateEntropy)(EvaluateEntropyRequest(1, states.ravel().tolist()))
@@ -110,12 +153,12 @@ class LearnTest(unittest.TestCase):
         self.assertEqual(len(latents.means), latents.latent_size)
         self.assertTrue(all(std > 0.0 for std in latents.stds))
 
-    def test_entropy_at_states_that_are_no_numbers_is_refused(self):
-        answer = service("trainer/entropy", EvaluateEntropy)(EvaluateEntropyRequest(0, [float("nan")] * 3))
-        self.assertFalse(answer.success)
+    def test_entropy_at_nan_states_rejected(self):
+        response = service("trainer/entropy", EvaluateEntropy)(EvaluateEntropyRequest(0, [float("nan")] * 3))
+        self.assertFalse(response.success)
 
-    def test_every_node_reports_its_health(self):
-        # One subscription: one for each message may miss a node again and again, whose turn is always just then.
+    def test_every_node_publishes_diagnostics(self):
+        # One subscription for all messages: a new one for each could miss the same node repeatedly.
         seen, everyone, complete = set(), {"arm", "trainer", "planner", "fingerprinter", "monitor"}, threading.Event()
 
         def note(message):
@@ -128,18 +171,19 @@ class LearnTest(unittest.TestCase):
         subscriber.unregister()
         self.assertLessEqual(everyone, seen)
 
-    def test_latents_at_poses_that_are_no_numbers_are_refused(self):
+    def test_latents_at_nan_poses_rejected(self):
         broken = copy.deepcopy(self.first.state)
         broken.theta = float("nan")
         self.assertFalse(service("trainer/encode", Encode)(EncodeRequest([broken], [self.first.image])).success)
 
-    def test_z_the_run_ends_with_a_whole_session(self):
+    def test_z_run_ends_with_complete_session(self):
         status = self.wait_for_status(lambda status: status.finished)
         path = Path(status.session)
         summary = path / "summary.yaml"
+        figures = [path / "figures" / f"{name}.png" for name in ("learning_metrics", "reconstructions", "entropy")]
         waiting = threading.Event()
         for _ in range(600):
-            if summary.exists():
+            if all(file.exists() for file in (summary, *figures)):
                 break
             waiting.wait(0.2)
         session = Session.open_read_only(path)
@@ -148,11 +192,10 @@ class LearnTest(unittest.TestCase):
         self.assertEqual(session.read_table("exploration")["step"].tolist(), list(range(1, 61)))
         self.assertTrue(read_summary(summary).finished)
         self.assertTrue(session.paths.model.exists())
-        for name in ("learning_metrics", "reconstructions", "entropy"):
-            self.assertTrue((session.paths.figures / f"{name}.png").exists(), name)
+        self.assertEqual([file.name for file in figures if not file.exists()], [])
         self.assertTrue(service("trainer/save", Trigger)().success)
-        answer = service("planner/pause", Trigger)()
-        self.assertEqual((answer.success, answer.message), (False, "exploration is complete"))
+        response = service("planner/pause", Trigger)()
+        self.assertEqual((response.success, response.message), (False, "exploration is complete"))
 
 
 if __name__ == "__main__":

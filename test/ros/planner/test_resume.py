@@ -1,4 +1,4 @@
-"""What a planner remembers between two lives, and when it does not trust its memory."""
+"""Saving the planner's state, and loading it only if it belongs to the stored observations."""
 
 import numpy as np
 import pytest
@@ -15,12 +15,12 @@ VELOCITY = np.array([0.05, 0.05, 0.5])
 
 
 @pytest.fixture
-def memory(tmp_path):
-    """A memory that was written as the third observation was about to be handed over."""
-    written = PlannerResume(CONFIG, tmp_path)
+def resume(tmp_path):
+    """The state saved before the third observation was sent."""
+    resume = PlannerResume(CONFIG, tmp_path)
     run = ExplorationRun(CONFIG, TRAJECTORY[:2])
-    written.remember(run, state_message(rospy.Time(7, 8), TRAJECTORY[2], VELOCITY))
-    return written
+    resume.save(run, state_message(rospy.Time(7, 8), TRAJECTORY[2], VELOCITY))
+    return resume
 
 
 @pytest.fixture
@@ -30,45 +30,45 @@ def warned(monkeypatch):
     return lines
 
 
-def test_an_observation_that_was_not_stored_is_taken_again(memory, warned):
-    recalled = memory.recall(TRAJECTORY[:2])
-    assert not recalled.is_stored
-    assert recalled.run.step == 2
-    assert recalled.state.header.stamp == rospy.Time(7, 8)
-    np.testing.assert_array_equal(state_arrays(recalled.state)[0], TRAJECTORY[2])
+def test_observation_not_stored_is_repeated(resume, warned):
+    point = resume.load(TRAJECTORY[:2])
+    assert not point.is_stored
+    assert point.run.step == 2
+    assert point.state.header.stamp == rospy.Time(7, 8)
+    np.testing.assert_array_equal(state_arrays(point.state)[0], TRAJECTORY[2])
     assert warned == []
 
 
-def test_an_observation_that_was_stored_is_counted_with_its_stamp_and_velocity(memory, warned):
-    recalled = memory.recall(TRAJECTORY)
-    assert recalled.run.step == 2
-    assert recalled.is_stored
-    assert recalled.state.header.stamp == rospy.Time(7, 8)
-    np.testing.assert_array_equal(np.concatenate(state_arrays(recalled.state)), [*TRAJECTORY[2], *VELOCITY])
+def test_stored_observation_keeps_stamp_and_velocity(resume, warned):
+    point = resume.load(TRAJECTORY)
+    assert point.run.step == 2
+    assert point.is_stored
+    assert point.state.header.stamp == rospy.Time(7, 8)
+    np.testing.assert_array_equal(np.concatenate(state_arrays(point.state)), [*TRAJECTORY[2], *VELOCITY])
     assert warned == []
 
 
-def test_a_run_that_begins_remembers_nothing_and_that_is_no_trouble(tmp_path, warned):
-    assert PlannerResume(CONFIG, tmp_path).recall(np.empty((0, 3))) is None
+def test_new_run_loads_nothing_without_warning(tmp_path, warned):
+    assert PlannerResume(CONFIG, tmp_path).load(np.empty((0, 3))) is None
     assert warned == []
 
 
 @pytest.mark.parametrize(
     ("trajectory", "words"),
     [
-        (TRAJECTORY[:1], "does not tell of observation 1"),
-        (np.concatenate([TRAJECTORY, TRAJECTORY]), "does not tell of observation 6"),
+        (TRAJECTORY[:1], "does not belong to observation 1"),
+        (np.concatenate([TRAJECTORY, TRAJECTORY]), "does not belong to observation 6"),
         (TRAJECTORY + 1e-9, "is of another run"),
     ],
 )
-def test_a_memory_that_does_not_fit_what_is_stored_is_not_used_and_that_is_said(memory, warned, trajectory, words):
-    assert memory.recall(trajectory) is None
+def test_state_of_other_observations_ignored_with_warning(resume, warned, trajectory, words):
+    assert resume.load(trajectory) is None
     assert "with other random draws" in warned[0]
     assert words in warned[0]
 
 
-def test_a_damaged_memory_is_not_used_and_that_is_said(memory, warned, tmp_path):
+def test_damaged_state_ignored_with_warning(resume, warned, tmp_path):
     path = tmp_path / "planner.safetensors"
     path.write_bytes(path.read_bytes()[:-1])
-    assert memory.recall(TRAJECTORY) is None
+    assert resume.load(TRAJECTORY) is None
     assert str(path) in warned[0]

@@ -36,7 +36,7 @@ class ExplorationPublisher:
         """Effort after that step, see Assessment."""
 
     def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment) -> None:
-        """Publish the step that ended in a state; append its row unless it has one from before a resume."""
+        """Publish the step that ended in a state; append its row unless it was written before a resume."""
         if assessment.step > self.last_step:
             self._table.append(_row(state, assessment))
             self.last_step = assessment.step

@@ -1,4 +1,4 @@
-"""The planner's memory between two lives: written before each observation is handed over, read when it starts."""
+"""Exact resume of the planner: its state is saved before each observation and loaded when the node starts."""
 
 from __future__ import annotations
 
@@ -17,51 +17,54 @@ from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.planner_state import PlannerState, load_planner_state, save_planner_state
 
 
-class Recalled(NamedTuple):
-    """A run as it was before an observation, and that observation."""
+class ResumePoint(NamedTuple):
+    """A run just before an observation, and the state of that observation."""
 
     run: ExplorationRun
-    state: PlanarState  # where it was taken; a simulated arm can return to this stamp
-    is_stored: bool  # whether the trainer has stored it
+    state: PlanarState  # a simulated arm can return to this stamp
+    is_stored: bool  # whether the trainer has stored the observation
 
 
 class PlannerResume:
-    """What a planner that is started again needs in order to go on as if it were the first."""
+    """Saves and loads the planner's state in the session's folder."""
 
     def __init__(self, config: Config, session: Path) -> None:
         self._config = config
         self._path = SessionPaths(session).planner
 
-    def remember(self, run: ExplorationRun, state: PlanarState) -> None:
-        """Write down a run and the state of the observation that it is about to hand over.
+    def save(self, run: ExplorationRun, state: PlanarState) -> None:
+        """Save a run and the state of the observation that is sent next.
 
-        Raises SessionError when the disk fails.
+        Raises:
+            SessionError: the disk fails.
         """
         stamp = state.header.stamp
         pose, velocity = state_arrays(state)
         planner = PlannerState(run.step, (stamp.secs, stamp.nsecs), pose, velocity, run.state_dict())
         save_planner_state(self._path, planner)
 
-    def recall(self, trajectory: np.ndarray) -> Optional[Recalled]:
-        """What was written down last, after a trajectory (N, 3) of stored observations; None for a run that begins.
+    def load(self, trajectory: np.ndarray) -> Optional[ResumePoint]:
+        """Load the run that was saved before the newest stored observation, or before the next one.
 
-        None also, and a warning, for what is damaged or does not tell of the newest stored observation or the next.
+        Args:
+            trajectory: (N, 3) states of the stored observations.
+
+        Returns:
+            None for a new run, and, with a warning, if the saved state is damaged or of other observations.
         """
         stored = len(trajectory)
         try:
-            memory = load_planner_state(self._path)
-            if memory is None and not stored:
+            planner = load_planner_state(self._path)
+            if planner is None and not stored:
                 return None
-            if memory is None or memory.index not in (stored - 1, stored):
-                raise CorruptFileError(f"{self._path} does not tell of observation {stored}, which is next")
-            if memory.index < stored and not np.array_equal(memory.state, trajectory[-1]):
-                raise CorruptFileError(
-                    f"{self._path} is of another run: its state is not that of the newest observation"
-                )
-            run = ExplorationRun(self._config, trajectory[: memory.index])
-            run.load_state_dict(memory.run)
+            if planner is None or planner.index not in (stored - 1, stored):
+                raise CorruptFileError(f"{self._path} does not belong to observation {stored}, the next one")
+            if planner.index < stored and not np.array_equal(planner.state, trajectory[-1]):
+                raise CorruptFileError(f"{self._path} is of another run: the newest observation has another state")
+            run = ExplorationRun(self._config, trajectory[: planner.index])
+            run.load_state_dict(planner.run)
         except CorruptFileError as error:
-            rospy.logwarn("exploration goes on from what is stored, but with other random draws: %s", error)
+            rospy.logwarn("resuming from the stored observations, with other random draws: %s", error)
             return None
-        state = state_message(rospy.Time(*memory.stamp), memory.state, memory.velocity)
-        return Recalled(run, state, memory.index < stored)
+        state = state_message(rospy.Time(*planner.stamp), planner.state, planner.velocity)
+        return ResumePoint(run, state, planner.index < stored)
