@@ -105,7 +105,7 @@ def check_bringup(config: Config, bringup: str, robot_ip: str) -> None:
 def _with_world(config: Config) -> Config:
     """The configuration with the path of its world, which is checked."""
     world = os.path.realpath(find_world(config.simulation.world))
-    load_world(world, config.workspace.box())
+    load_world(world, config.workspace.box(), config.camera)
     return replace(config, simulation=replace(config.simulation, world=world))
 
 

@@ -30,7 +30,7 @@ RANDOM_URDFS = 1000
 _EDGE = 0.03  # m, least distance of an object's centre from the edge of the workspace
 _SIZES = (0.06, 0.09)  # m, largest side of a procedural object
 _LEAST_WIDTH = 0.5  # least width and depth of a procedural object, relative to its largest side
-_MAX_ATTEMPTS = 1000  # of placing all objects
+_MAX_ATTEMPTS = 60  # of placing all objects
 
 
 def random_world(

@@ -106,7 +106,8 @@ class Simulation:
 
     def image(self) -> np.ndarray:
         """(H, W, 3) uint8 RGB of what the camera sees from where the arm is."""
-        return self._disturbance.image(self._scene.render(self._arm.pose, self._arm.camera_height), self.time)
+        image = self._scene.render(self._arm.pose, self._arm.camera_height, self._arm.velocity)
+        return self._disturbance.image(image, self.time)
 
     def top_view(self, centre: np.ndarray, size: float, width: int = 600) -> np.ndarray:
         """(width, width, 3) uint8 RGB of a square of the table: centre (2,) m, size m; right is +x, up is +y."""
