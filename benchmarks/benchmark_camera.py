@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Time of one image of the simulated camera, on every shipped world, and of one move of the simulated arm by part.
+"""Time per image of the simulated camera in every shipped world, and per part of a move of the simulated arm.
 
     source setup.bash && OPENBLAS_NUM_THREADS=1 python3 benchmarks/benchmark_camera.py
 
-An image is compared with the plain way to make it, taking turns in one process: table and objects as bodies of one
-PyBullet scene, all of which TinyRenderer draws at full size for every image. Other work on the cores disturbs both
-alike: trust the ratios before the milliseconds, and processor time before wall time.
+Reference: table and objects are bodies of one PyBullet scene, all drawn by TinyRenderer for every image. Both variants
+alternate in one process, so that other load affects both: ratios are more reliable than milliseconds, and processor
+time than wall time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import argparse
 import math
 from functools import partial
 from io import BytesIO
-from typing import Dict, List
+from typing import Dict, List, Sequence
 
 import cv2
 import numpy as np
@@ -33,15 +33,15 @@ YAWS_OVER_OBJECTS = (-1.0, 0.5)  # rad, of the poses centred on each object
 
 
 class PlainScene(Scene):
-    """The same world with its table as one more body, wholly drawn by TinyRenderer from PyBullet's own matrices."""
+    """The same world with the table as a body, drawn by TinyRenderer with PyBullet's matrices."""
 
     def __init__(self, world: World, camera: CameraConfig) -> None:
-        """Load everything, the table as a textured box."""
+        """Load all objects, and the table as a textured box."""
         super().__init__(world, camera)
         self._lay_table(world.table)
 
-    def render(self, pose: np.ndarray, height: float = 0.3) -> np.ndarray:
-        """Image (H, W, 3) uint8 from pose (x m, y m, theta rad), height m above the table."""
+    def render(self, pose: np.ndarray, height: float = 0.3, velocity: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+        """Return an image (H, W, 3) uint8 from pose (x m, y m, theta rad), height m above the table; without blur."""
         x, y, theta = pose
         _, _, colours, _, _ = pybullet.getCameraImage(
             self._camera.width,
@@ -73,7 +73,7 @@ class PlainScene(Scene):
 
 
 def image_section(config: Config, count: int) -> Section:
-    """Images from random poses of the workspace, and from poses centred on each object, made in both ways by turns."""
+    """Measure images from random poses in the workspace, and from poses centred on each object, with both variants."""
     rows: List[Row] = []
     for name in world_names():
         world, box = load_world(name, config.workspace.box()), config.workspace.box()
@@ -89,12 +89,12 @@ def image_section(config: Config, count: int) -> Section:
         rows.append(row(f"{name}, table and objects drawn by TinyRenderer", turns["plain"]))
         rows.append(row(f"{name}, as shipped", turns["scene"], turns["plain"], "8 ms"))
     return Section(
-        "One camera image", "180 x 180, one thread; poses all over the workspace and over each object.", rows
+        "One camera image", "180 x 180, one thread; random poses in the workspace, and over each object.", rows
     )
 
 
 def messages(simulation: Simulation, image: np.ndarray, camera: CameraConfig) -> None:
-    """Make and serialise what the node of the simulated arm publishes after each move."""
+    """Create and serialise the messages that the node of the simulated arm publishes after each move."""
     stamp = rospy.Time.from_sec(simulation.time)
     for message in (
         Clock(stamp),
@@ -107,7 +107,7 @@ def messages(simulation: Simulation, image: np.ndarray, camera: CameraConfig) ->
 
 
 def move_section(config: Config, count: int) -> Section:
-    """Each part of random moves, each as long as an exploration step."""
+    """Measure the parts of random moves with the duration of an exploration step."""
     speeds = np.array([config.arm.max_speed, config.arm.max_speed, config.arm.max_turn_rate])
     velocities = np.random.default_rng(0).uniform(-speeds, speeds, (count, 3))
     turns: Dict[str, List[Turn]] = {"servo and physics": [], "image": [], "messages": []}
@@ -123,7 +123,7 @@ def move_section(config: Config, count: int) -> Section:
 
 
 def measure(arguments: argparse.Namespace) -> List[Section]:
-    """Both sections."""
+    """Return both sections."""
     cv2.setNumThreads(1)
     return [image_section(Config(), arguments.images), move_section(Config(), arguments.moves)]
 

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Kill the nodes of a learning run at random, as often as asked for, and compare its results with an undisturbed run's.
+"""Kill nodes of a learning run at random, and compare its results with those of an undisturbed run.
 
     python3 experiments/crashes.py --kills 50 --steps 250 --seed 1
 
-Ends with 0 when the tables and the final model are byte for byte those of a run that nothing happened to.
+Exits 0 if the tables and the final model equal those of the undisturbed run byte for byte.
 """
 
 import argparse
@@ -14,35 +14,36 @@ import time
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parents[1] / "test"
-sys.path[:0] = [str(TESTS), str(TESTS / "faults")]
+sys.path[:0] = [str(TESTS), str(TESTS / "faults"), str(TESTS / "support")]
 
-from crashing import crash, learn_arguments, outcome  # noqa: E402  lies with the tests, which use it too
+from crashing import crash, learn_arguments, outcome  # noqa: E402  shared with the tests
 from launching import launch_to_the_end  # noqa: E402
 
 
-def say(text: str) -> None:
-    """Tell at once, also where the output goes to a file."""
+def log(text: str) -> None:
+    """Print without buffering."""
     print(text, flush=True)
 
 
 def main() -> int:
-    """Run twice, kill once, compare."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Run undisturbed, run with kills, and compare -> exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--steps", type=int, default=250, help="exploration steps of the run")
-    parser.add_argument("--seed", type=int, default=1, help="of what is killed, and when")
-    parser.add_argument("--timeout", type=float, default=3600.0, help="seconds for the run that is killed")
+    parser.add_argument("--seed", type=int, default=1, help="seed of victims and times")
+    parser.add_argument("--timeout", type=float, default=3600.0, help="time limit of the run with kills, s")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        whole, killed = Path(folder) / "whole", Path(folder) / "killed"
-        whole.mkdir()
+        undisturbed, killed = Path(folder) / "undisturbed", Path(folder) / "killed"
+        undisturbed.mkdir()
         killed.mkdir()
-        say("a run that nothing happens to")
-        launch_to_the_end(whole, "learn.launch", *learn_arguments(whole, steps=options.steps), timeout=options.timeout)
-        expected = outcome(whole / "run")
+        log("undisturbed run")
+        arguments = learn_arguments(undisturbed, steps=options.steps)
+        launch_to_the_end(undisturbed, "learn.launch", *arguments, timeout=options.timeout)
+        expected = outcome(undisturbed / "run")
         began = time.monotonic()
         arguments = learn_arguments(killed, steps=options.steps)
-        crashes = crash(killed, killed / "run", arguments, options.kills, options.seed, options.timeout, say)
+        crashes = crash(killed, killed / "run", arguments, options.kills, options.seed, options.timeout, log)
         found = outcome(killed / "run")
     counts = collections.Counter(each.victim for each in crashes)
     print(f"{len(crashes)} kills in {time.monotonic() - began:.0f} s: {dict(counts)}")

@@ -1,13 +1,13 @@
-"""Follows the nodes of a running system: memory, file handles and threads of each must not grow while it learns.
+"""Check that no node of a running system leaks memory, file descriptors or threads.
 
     source setup.bash
     roslaunch embodied_active_learning learn.launch steps:=3000 &
     python3 experiments/soak.py
 
-Follows them until everything is learned, or for --seconds; prints a table, and exits 1 when something has grown. What
-counts is the straight line through the second half. The first is for warming up: it should be long enough for the
-trainer's first seven or eight checkpoints (training/checkpoint_every), which take memory that is kept and used again by
-the later ones. The trainer keeps all images in memory, which is what it is for: they are subtracted.
+Samples all nodes until learning has finished, or for --seconds; prints a table, and exits 1 if something grows. Growth
+is the rise of a straight line through the second half of the samples. The first half is for warm-up: it should include
+the trainer's first seven or eight checkpoints (training/checkpoint_every), whose memory is reused by later ones. The
+images that the trainer keeps in memory are subtracted.
 """
 
 from __future__ import annotations
@@ -32,93 +32,93 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.node import read_config, wait_until
 
-KINDS = ("memory", "handles", "threads")
-UNITS = {"memory": "MB", "handles": "", "threads": ""}
-LIMITS = {"memory": 8.0, "handles": 2.0, "threads": 2.0}
-"""How much more there may be at the end of the second half than at its beginning: what comes and goes is not the same
-at every look, and memory is freed in larger pieces than it is taken."""
-SHARE = 0.02
-"""How much more memory there may be, as a share of what the node has; the larger of the two counts."""
+RESOURCES = ("memory", "descriptors", "threads")
+UNITS = {"memory": "MB", "descriptors": "", "threads": ""}
+LIMITS = {"memory": 8.0, "descriptors": 2.0, "threads": 2.0}
+"""Growth in the second half that is tolerated: usage fluctuates, and memory is freed in larger pieces than taken."""
+RELATIVE_LIMIT = 0.02
+"""Tolerated growth of memory relative to its size; the larger limit counts."""
 
 
 @dataclass(frozen=True)
-class Look:
-    """What a process has at one moment."""
+class Sample:
+    """Resources of a process at one time."""
 
     time: float  # [s]
-    memory: float  # [MB] of its own, without what is shared or a copy of a file
-    handles: int
+    memory: float  # [MB] private, without files
+    descriptors: int
     threads: int
 
 
-def look(process: int) -> Optional[Look]:
-    """Look at a process; None when it is gone."""
+def sample(process: int) -> Optional[Sample]:
+    """Sample a process; None if it has ended."""
     folder = Path(f"/proc/{process}")
     try:
         status = dict(line.split(":", 1) for line in (folder / "status").read_text().splitlines())
-        handles = len(os.listdir(folder / "fd"))
-        return Look(time.monotonic(), int(status["RssAnon"].split()[0]) / 1024, handles, int(status["Threads"]))
-    except (OSError, KeyError):  # a process that ends has a status without memory
+        descriptors = len(os.listdir(folder / "fd"))
+        return Sample(time.monotonic(), int(status["RssAnon"].split()[0]) / 1024, descriptors, int(status["Threads"]))
+    except (OSError, KeyError):  # the status of an ending process lacks its memory
         return None
 
 
-def growth(looks: Sequence[Look], kind: str) -> float:
-    """By how much a straight line through the second half of the looks rises from its beginning to its end."""
-    half = looks[len(looks) // 2 :]
+def growth(samples: Sequence[Sample], resource: str) -> float:
+    """Return the rise of a straight line through the second half of the samples."""
+    half = samples[len(samples) // 2 :]
     times = np.array([item.time for item in half])
-    slope = np.polyfit(times, [getattr(item, kind) for item in half], 1)[0]
+    slope = np.polyfit(times, [getattr(item, resource) for item in half], 1)[0]
     return float(slope * (times[-1] - times[0]))
 
 
-def what_grows(looks: Sequence[Look], memory: float = LIMITS["memory"]) -> List[str]:
-    """The kinds that grow by more than their limit; that of memory can be set [MB]."""
-    limits = {**LIMITS, "memory": max(memory, SHARE * looks[-1].memory)}
-    return [kind for kind in KINDS if growth(looks, kind) > limits[kind]]
+def growing(samples: Sequence[Sample], memory: float = LIMITS["memory"]) -> List[str]:
+    """Return the resources that grow beyond their limit; memory: limit in MB."""
+    limits = {**LIMITS, "memory": max(memory, RELATIVE_LIMIT * samples[-1].memory)}
+    return [resource for resource in RESOURCES if growth(samples, resource) > limits[resource]]
 
 
-def table(tracks: Dict[str, Sequence[Look]]) -> str:
-    """For each node what it has at the end, and by how much that has grown in the second half."""
-    lines = ["| node | " + " | ".join(f"{kind} at the end | growth" for kind in KINDS) + " | |"]
-    lines.append("| --- |" + " --- |" * (2 * len(KINDS) + 1))
-    for node, looks in tracks.items():
+def table(tracks: Dict[str, Sequence[Sample]]) -> str:
+    """Return a Markdown table: each node's resources at the end, and their growth in the second half."""
+    lines = ["| node | " + " | ".join(f"{resource} at the end | growth" for resource in RESOURCES) + " | |"]
+    lines.append("| --- |" + " --- |" * (2 * len(RESOURCES) + 1))
+    for node, samples in tracks.items():
         cells = []
-        for kind in KINDS:
-            cells += [f"{getattr(looks[-1], kind):.0f} {UNITS[kind]}".strip(), f"{growth(looks, kind):+.1f}"]
-        lines.append(f"| {node} | {' | '.join(cells)} | {', '.join(what_grows(looks)) or 'nothing'} grows |")
+        for resource in RESOURCES:
+            value = f"{getattr(samples[-1], resource):.0f} {UNITS[resource]}".strip()
+            cells += [value, f"{growth(samples, resource):+.1f}"]
+        lines.append(f"| {node} | {' | '.join(cells)} | {', '.join(growing(samples)) or 'nothing'} grows |")
     return "\n".join(lines)
 
 
-def write_csv(path: Path, tracks: Dict[str, Sequence[Look]]) -> None:
-    """Every look as a row."""
+def write_csv(path: Path, tracks: Dict[str, Sequence[Sample]]) -> None:
+    """Write all samples as rows."""
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
-        writer.writerow(["node", *(item.name for item in fields(Look))])
-        writer.writerows([node, *astuple(item)] for node, looks in tracks.items() for item in looks)
+        writer.writerow(["node", *(item.name for item in fields(Sample))])
+        writer.writerows([node, *astuple(item)] for node, samples in tracks.items() for item in samples)
 
 
-class Follower:
-    """Looks at the nodes of a namespace again and again."""
+class Sampler:
+    """Samples the nodes of a namespace periodically."""
 
     def __init__(self, config: Config) -> None:
         self._image = config.camera.height * config.camera.width * 3 / 2**20  # [MB]
         self._observations = 0
         self._ended = threading.Event()
         self._processes: Dict[str, int] = {}
-        self.tracks: Dict[str, List[Look]] = {}
+        self.tracks: Dict[str, List[Sample]] = {}
         rospy.Subscriber(names.TRAINING_STATUS, TrainingStatus, self._on_status, queue_size=1)
 
-    def follow(self, period: float, seconds: float) -> None:
-        """Look every period [s], until the time is over, all is learned or a node is gone."""
-        ends_at = time.monotonic() + seconds
+    def run(self, period: float, seconds: float) -> None:
+        """Sample every period [s] until the time is over, learning has finished, or a node has ended."""
+        deadline = time.monotonic() + seconds
         rospy.on_shutdown(self._ended.set)
-        while time.monotonic() < ends_at:
+        while time.monotonic() < deadline:
             self._find_nodes()
-            looks = {node: look(process) for node, process in self._processes.items()}
-            if None in looks.values():
+            samples = {node: sample(process) for node, process in self._processes.items()}
+            if None in samples.values():
                 return
-            for node, item in looks.items():
+            for node, item in samples.items():
                 images = self._image * self._observations if node.endswith("/trainer") else 0.0
-                self.tracks[node].append(Look(item.time, item.memory - images, item.handles, item.threads))
+                self.tracks[node].append(Sample(item.time, item.memory - images, item.descriptors, item.threads))
             if self._ended.wait(period):
                 return
 
@@ -129,40 +129,40 @@ class Follower:
 
     def _on_status(self, message: TrainingStatus) -> None:
         self._observations = message.observations
-        if message.finished:  # what follows, figures say, is done once
+        if message.finished:  # what follows, such as figures, happens once
             self._ended.set()
 
 
 def nodes_of(namespace: str) -> List[str]:
-    """The nodes that the master knows in a namespace, without this one."""
+    """Return the registered nodes of a namespace, without this one."""
     state = rosgraph.Master(rospy.get_name()).getSystemState()
     nodes = {node for kind in state for _, owners in kind for node in owners}
     return sorted(node for node in nodes if node.startswith(namespace) and node not in (rospy.get_name(), "/rosout"))
 
 
 def pid_of(node: str) -> int:
-    """The process of a node on this machine."""
+    """Return the process of a node on this machine."""
     uri = rosgraph.Master(rospy.get_name()).lookupNode(node)
     return xmlrpc.client.ServerProxy(uri).getPid(rospy.get_name())[2]
 
 
 def main() -> None:
-    """Follow the nodes and print what came out."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--period", type=float, default=2.0, help="seconds between two looks")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="how long; default: until all is learned")
-    parser.add_argument("--csv", type=Path, help="file for every single look")
+    """Sample the nodes and print the result."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--period", type=float, default=2.0, help="seconds between two samples")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="duration; default: until the run ends")
+    parser.add_argument("--csv", type=Path, help="file for all samples")
     options = parser.parse_args(rospy.myargv()[1:])
     rospy.init_node("soak", anonymous=True)
     parameter = rospy.resolve_name(names.CONFIG_PARAMETER)
     wait_until(lambda: rospy.has_param(parameter), lambda: f"a launch that sets {parameter}")
-    follower = Follower(read_config())
-    follower.follow(options.period, options.seconds)
+    sampler = Sampler(read_config())
+    sampler.run(options.period, options.seconds)
     if options.csv:
-        write_csv(options.csv, follower.tracks)
-    print(table(follower.tracks))
-    print(f"{max(map(len, follower.tracks.values()))} looks, every {options.period:g} s")
-    sys.exit(any(what_grows(track) for track in follower.tracks.values()))
+        write_csv(options.csv, sampler.tracks)
+    print(table(sampler.tracks))
+    print(f"{max(map(len, sampler.tracks.values()))} samples, every {options.period:g} s")
+    sys.exit(any(growing(track) for track in sampler.tracks.values()))
 
 
 if __name__ == "__main__":

@@ -112,7 +112,7 @@ def frozen(process):
 
 
 def is_gone(process):
-    return soak.look(process) is None
+    return soak.sample(process) is None
 
 
 def end(process, sig):
@@ -129,11 +129,11 @@ def test_memory_handles_and_threads_do_not_grow(run):
     processes = {node: run.pid(node) for node in NODES}
     for _ in range(SAMPLES):
         for node, track in tracks.items():
-            item = soak.look(processes[node])
+            item = soak.sample(processes[node])
             images = IMAGE * run.steps if node == "trainer" else 0.0
-            track.append(soak.Look(item.time, item.memory - images, item.handles, item.threads))
+            track.append(soak.Sample(item.time, item.memory - images, item.descriptors, item.threads))
         time.sleep(PERIOD)
-    assert not any(soak.what_grows(track, MEMORY) for track in tracks.values()), soak.table(tracks)
+    assert not any(soak.growing(track, MEMORY) for track in tracks.values()), soak.table(tracks)
 
 
 def test_run_continues_after_trainer_crash(run):

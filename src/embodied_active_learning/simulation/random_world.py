@@ -56,7 +56,7 @@ def random_world(
         workspace: Where objects are placed.
 
     Raises:
-        WorldError: An unknown kind, or no room for so many objects at that spacing.
+        WorldError: An unknown kind, or no room for the objects at this spacing.
     """
     generator = np.random.default_rng(seed)
     positions = _positions(count + distractors, spacing, workspace or Workspace(), generator)

@@ -1,4 +1,4 @@
-"""A lab learns again from a recorded run, without a robot: the bag that comes with the package, by the launch files."""
+"""replay.launch: learning from the shipped bag, without a robot."""
 
 import math
 import os
@@ -30,12 +30,12 @@ pytestmark = pytest.mark.ros
 BAG = ROOT / "bags" / "diagonal-small.bag"
 OBSERVATIONS = 400
 QUICK = {"training": {"updates_per_observation": 1, "learning_rate": 0.003}}
-"""A third of the updates that the run was recorded with, each three times as large."""
+"""A third of the updates of the recorded run, each three times as large."""
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """The folder of the sessions, with a profile that learns quickly."""
+    """The folder of the sessions, with a fast profile."""
     folder = tmp_path_factory.mktemp("replay")
     (folder / "quick.yaml").write_text(yaml.safe_dump(QUICK))
     return folder
@@ -52,12 +52,12 @@ def rows(path):
 
 @pytest.fixture(scope="module")
 def replayed(home):
-    """A replay that was killed in the middle, and went on -> its folder, and what the launch printed."""
-    ends_at, chosen = time.monotonic() + 120, arguments(home, respawn="true", fingerprint="true")
+    """Replay, killed in the middle and resumed -> its folder, and the output of the launch."""
+    deadline, chosen = time.monotonic() + 120, arguments(home, respawn="true", fingerprint="true")
     with launched(home, "replay.launch", *chosen) as process:
         while rows(home / "again" / "training.csv") < 60:
             assert process.poll() is None, (home / "launch.log").read_text()
-            assert time.monotonic() < ends_at, (home / "launch.log").read_text()
+            assert time.monotonic() < deadline, (home / "launch.log").read_text()
             time.sleep(0.02)
         for node in ("replay", "trainer"):
             os.kill(pid_of(node, process.pid), signal.SIGKILL)
@@ -66,7 +66,7 @@ def replayed(home):
     return home / "again", (home / "launch.log").read_text()
 
 
-def test_it_ends_with_the_weights_that_the_bags_observations_give(replayed, home):
+def test_replay_gives_the_weights_of_its_observations(replayed, home):
     path, output = replayed
     config = Session.open_read_only(path).config
     threads = torch.get_num_threads()
@@ -86,13 +86,13 @@ def test_it_ends_with_the_weights_that_the_bags_observations_give(replayed, home
     assert all(torch.equal(found.weights[name], weight) for name, weight in alone.weights.items())
 
 
-def test_it_leaves_a_session_like_that_of_a_run_with_the_recorded_path_measured_against_the_target(replayed):
+def test_replay_leaves_a_complete_session(replayed):
     path, output = replayed
     session = Session.open_read_only(path)
     table = session.read_table("exploration")
     assert table["step"].tolist() == list(range(1, OBSERVATIONS + 1)), output
     assert table["ergodic_measure"][-1] < 0.3 < table["ergodic_measure"][0]
-    assert np.isnan(table["effort"]).all(), "nobody knows what was commanded"
+    assert np.isnan(table["effort"]).all(), "the commands are unknown"
     assert session.config.arm.robot == "recording"
     assert true_objects(session.config) == []
     assert read_summary(session.paths.summary).finished
@@ -102,7 +102,7 @@ def test_it_leaves_a_session_like_that_of_a_run_with_the_recorded_path_measured_
         assert (session.paths.figures / f"{name}.png").stat().st_size > 10_000, name
 
 
-def places(fingerprints):
+def centres(fingerprints):
     return [item.centre for item in fingerprints if item.kind == "object"]
 
 
@@ -113,11 +113,11 @@ def nearest(place, truth):
 TRUTH = true_objects(Config.from_dict({"simulation": {"world": "diagonal"}}))
 
 
-def test_the_learned_objects_are_fingerprinted_from_recorded_images(replayed):
+def test_objects_are_fingerprinted_from_recorded_images(replayed):
     path, output = replayed
     found = load_fingerprints(path)
     assert [item.kind for item in found.fingerprints] == ["object", "object", "blank"], output
-    assert max(nearest(place, TRUTH) for place in places(found.fingerprints)) < 0.02
+    assert max(nearest(place, TRUTH) for place in centres(found.fingerprints)) < 0.02
     with Session.open_read_only(path).open_observations() as store:
         states = {tuple(state) for state in store.raw_states}
     for item in found.fingerprints:
@@ -125,7 +125,7 @@ def test_the_learned_objects_are_fingerprinted_from_recorded_images(replayed):
         assert {tuple(state) for state in item.states} <= states
 
 
-def test_fingerprints_are_found_in_the_images_of_a_bag(replayed, home):
+def test_fingerprints_are_found_in_a_bag(replayed, home):
     convert = ["rosrun", "embodied_active_learning", "bag_to_session", BAG, "seen", "--root", home]
     subprocess.run(convert, check=True, timeout=60, stdout=subprocess.DEVNULL)
     settings = Session.open_read_only(home / "seen").config.identification
@@ -142,8 +142,8 @@ def test_fingerprints_are_found_in_the_images_of_a_bag(replayed, home):
     assert max(nearest(item.pose, TRUTH) for item in found) < 0.03
 
 
-def test_a_bag_that_cannot_be_learned_from_ends_the_launch_before_any_node_starts(home, tmp_path):
+def test_unusable_bag_ends_launch_before_any_node(home, tmp_path):
     output = launch_to_the_end(tmp_path, "replay.launch", *arguments(home, bag=home / "quick.yaml", session="other"))
     assert "nothing was started" in output
-    assert "is no ROS bag" in output
+    assert "is not a ROS bag" in output
     assert not (home / "other").exists()
