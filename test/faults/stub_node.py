@@ -3,7 +3,6 @@
 
 import embodied_active_learning.ros.runtime.startup  # noqa: F401
 
-import subprocess
 import sys
 
 import numpy as np
@@ -22,12 +21,6 @@ def compute(_request=None):
     rospy.loginfo("computing")
     while True:
         np.linalg.eigvals(np.random.default_rng(0).standard_normal((1200, 1200)))
-
-
-def compute_beside_a_child():
-    child = subprocess.Popen(["sleep", "1000"])
-    rospy.loginfo("child %d", child.pid)
-    compute()
 
 
 def compute_in_a_service():

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from embodied_active_learning.ros.runtime.shutdown import ExitCode, child_processes
+from embodied_active_learning.ros.runtime.shutdown import ExitCode
 from launching import ROOT, environment, started
 
 pytestmark = pytest.mark.ros
@@ -126,13 +126,11 @@ def test_node_publishes_while_topics_close(ros, master):
         assert "Traceback" not in node.output
 
 
-def test_computing_node_is_killed_with_its_children(ros, master):
-    with ros.node(STUB, "compute_beside_a_child") as node:
+def test_computing_node_is_ended_after_timeout(ros, master):
+    with ros.node(STUB, "compute") as node:
         node.wait_for("computing")
-        (child,) = child_processes(node.process.pid)
         assert node.end(signal.SIGINT) == ExitCode.SHUTDOWN_TIMEOUT
         assert "/stub: shutdown timeout: still running after 4 s" in node.output
-        assert not is_running(child)
 
 
 def test_node_computing_in_service_ends(ros, master):
@@ -154,14 +152,6 @@ def test_node_waiting_for_response_ends_at_once(ros, master):
         assert node.end(signal.SIGINT) == ExitCode.SUCCESS
 
 
-def is_running(process):
-    """Return whether a process exists and is not a zombie."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
-
-
 def test_node_without_master_ends_at_once(tmp_path):
     ros = Ros(tmp_path)
     with ros.node(STUB, "wait") as node:
@@ -181,17 +171,6 @@ def test_node_ends_while_master_hangs(tmp_path):
         master.send_signal(signal.SIGSTOP)
         assert node.end(signal.SIGINT) in (ExitCode.SUCCESS, ExitCode.SHUTDOWN_TIMEOUT)
         assert "Traceback" not in node.output
-
-
-def test_node_reports_master_outage_and_recovery(tmp_path):
-    ros = Ros(tmp_path)
-    with ros.master() as master, ros.node(STUB, "wait") as node:
-        node.wait_for(WAITING)
-        master.send_signal(signal.SIGSTOP)
-        node.wait_for(f"waiting for the ROS master at {ros.uri}: timed out")
-        master.send_signal(signal.SIGCONT)
-        node.wait_for(f"the ROS master at {ros.uri} answers again")
-        assert node.end(signal.SIGINT) == ExitCode.SUCCESS
 
 
 def test_known_error_is_last_line_and_failure_parameter(ros, master):

@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from embodied_active_learning.pipeline.resolve import resolve
-from embodied_active_learning.ros.runtime.shutdown import child_processes
 from embodied_active_learning.session.checkpoints import load_latest
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launched, pid_of
@@ -173,14 +172,12 @@ def test_planner_ends_while_arm_hangs(run):
 
 def test_z_interrupted_run_leaves_checkpoint_and_no_processes(run):
     processes = {node: run.pid(node) for node in NODES}
-    grandchildren = [child for process in processes.values() for child in child_processes(process)]
     began = time.monotonic()
     run.process.send_signal(signal.SIGINT)
     while not all(map(is_gone, processes.values())):
         left = [node for node, process in processes.items() if not is_gone(process)]
         assert time.monotonic() < began + 5.0, f"{left} still running\n{run.output}"
         time.sleep(0.02)
-    assert all(map(is_gone, grandchildren))
     run.process.wait(30)
     assert "Traceback" not in run.output
     assert run.last_update == run.checkpoint.counters["updates"] > 0

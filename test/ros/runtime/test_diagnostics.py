@@ -5,7 +5,8 @@ import threading
 import pytest
 
 from embodied_active_learning.errors import BusyError
-from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN, Health, Pace, Rate, add_wait
+from embodied_active_learning.ros.planner.pace import Pace
+from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN, Health, Rate, add_wait
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
 from embodied_active_learning.ros.runtime.wait_log import Wait, log_wait, longest_wait
 

@@ -63,7 +63,7 @@ class FrankaInterface:
         topic = rospy.resolve_name(names.FRANKA_SET_POINT)
         try:
             _, _, (publishers, _, _) = rospy.get_master().getSystemState()
-        except OSError as error:  # MasterWatch reports it
+        except OSError as error:
             rospy.logdebug("no response from the ROS master: %s", error)
             return []
         return [node for name, nodes in publishers if name == topic for node in nodes if node != rospy.get_name()]

@@ -38,6 +38,6 @@ class FailureWatch:
         try:
             self._reason = str(rospy.get_param(rospy.resolve_name(names.FAILURE_PARAMETER), ""))
         except OSError:
-            return  # MasterWatch logs an unreachable master
+            return  # the master cannot be reached at the moment
         if self._reason:
             rospy.signal_shutdown(self._reason)

@@ -11,14 +11,9 @@ from xmlrpc.client import Error as XmlRpcError
 from xmlrpc.client import ServerProxy, Transport
 
 import rosgraph
-import rospy
 
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
-from embodied_active_learning.ros.runtime.timers import WallTimer
-from embodied_active_learning.ros.runtime.wait_log import log_wait
 
-_PERIOD = 1.0
-"""Wall seconds between two calls of the master."""
 _TIMEOUT = 3.0
 """Wall seconds within which a master or node answers."""
 
@@ -46,28 +41,6 @@ def wait_for_master() -> None:
         if throttle.should_log(message):
             sys.stderr.write(message)  # the node has no log yet
         time.sleep(0.2)
-
-
-class MasterWatch:
-    """Logs, and reports on /diagnostics, that the master cannot be reached, for example because of a pulled cable."""
-
-    def __init__(self) -> None:
-        self._uri = rosgraph.get_master_uri()
-        self._error = ""
-        WallTimer(_PERIOD, self._check)
-
-    def _check(self) -> None:
-        if self._is_reachable():
-            return
-        with log_wait(lambda: f"the ROS master at {self._uri}: {self._error}", delay=0.0):
-            while not rospy.is_shutdown() and not self._is_reachable():
-                rospy.rostime.wallsleep(_PERIOD)
-        if not rospy.is_shutdown():
-            rospy.loginfo("the ROS master at %s answers again", self._uri)
-
-    def _is_reachable(self) -> bool:
-        self._error = connection_error(self._uri)
-        return not self._error
 
 
 class _TimeoutTransport(Transport):

@@ -13,7 +13,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.failure import report_failure
-from embodied_active_learning.ros.runtime.master import MasterWatch, wait_for_master
+from embodied_active_learning.ros.runtime.master import wait_for_master
 from embodied_active_learning.ros.runtime.shutdown import ExitCode, ShutdownDeadline, exit_process
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 
@@ -51,7 +51,6 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
         wait_for_master()
         rospy.init_node(name)
         show_library_log()
-        MasterWatch()
         if needs_clock:
             wait_for_clock()
         body(read_config())

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from contextlib import contextmanager, suppress
-from typing import Any, Callable, Dict, Iterator, Optional
+from typing import Any, Callable, Dict, Iterator, List, Optional
 
 import rospy
 from rospy.exceptions import TransportException
@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
-from embodied_active_learning.ros.runtime.node import ShutdownRequestedError, is_shutting_down, wall_sleep
+from embodied_active_learning.ros.runtime.node import ShutdownRequestedError, is_shutting_down, wait_until
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 
 TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, OSError)
@@ -83,14 +83,15 @@ def is_advertised(name: str) -> bool:
 
     Raises ShutdownRequestedError.
     """
-    while True:
-        try:
-            code, _, _ = rospy.get_master().lookupService(rospy.resolve_name(name))
-        except OSError as error:  # MasterWatch logs an unreachable master
-            rospy.logdebug("no response of the ROS master: %s", error)
-            wall_sleep(_MASTER_PERIOD)
-        else:
-            return code == 1
+    codes: List[int] = []
+
+    def ask_master() -> bool:
+        with suppress(OSError):
+            codes.append(rospy.get_master().lookupService(rospy.resolve_name(name))[0])
+        return bool(codes)
+
+    wait_until(ask_master, lambda: "the ROS master", period=_MASTER_PERIOD)
+    return codes[0] == 1
 
 
 def trigger_if_advertised(name: str) -> Optional[TriggerResponse]:

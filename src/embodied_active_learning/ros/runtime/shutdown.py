@@ -9,9 +9,6 @@ import signal
 import sys
 import threading
 import time
-from contextlib import suppress
-from pathlib import Path
-from typing import List
 
 import rospy
 
@@ -58,9 +55,6 @@ class ShutdownDeadline:
         # Not logged with rospy: a blocked thread may hold the locks of the log.
         name = rospy.get_name() if rospy.core.is_initialized() else self._name
         os.write(2, f"{name}: shutdown timeout: still running after {TIMEOUT:g} s; ending the process\n".encode())
-        for child in child_processes(os.getpid()):
-            with suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)
         os._exit(ExitCode.SHUTDOWN_TIMEOUT)
 
 
@@ -73,12 +67,3 @@ def exit_process(code: ExitCode) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
-
-
-def child_processes(process: int) -> List[int]:
-    """Return the running child processes of a process."""
-    found: List[int] = []
-    for path in Path(f"/proc/{process}/task").glob("*/children"):
-        with suppress(FileNotFoundError, ProcessLookupError):  # the thread has ended meanwhile
-            found += map(int, path.read_text().split())
-    return found

@@ -23,71 +23,51 @@ class Wait(NamedTuple):
 
 
 class _Entry:
-    """A wait in progress."""
+    """A wait in progress. `what` describes it."""
 
-    def __init__(self, describe: Callable[[], str], delay: float) -> None:
-        self._describe = describe
-        self._started = time.monotonic()
-        self._log_at = self._started + delay
+    def __init__(self, what: Callable[[], str], delay: float) -> None:
+        self.what = what
+        self.started_at = time.monotonic()
+        self._log_at = self.started_at + delay
         self._logged = False
 
-    @property
-    def wait(self) -> Wait:
-        return Wait(self._describe(), time.monotonic() - self._started)
-
     def log_if_due(self) -> None:
-        if time.monotonic() < self._log_at:
-            return
-        self._log_at = time.monotonic() + LOG_PERIOD
-        what, seconds = self.wait
-        rospy.loginfo("waiting for %s%s", what, f" (since {seconds:.0f} s)" if self._logged else "")
-        self._logged = True
+        now = time.monotonic()
+        if now >= self._log_at:
+            since = f" (since {now - self.started_at:.0f} s)" if self._logged else ""
+            rospy.loginfo("waiting for %s%s", self.what(), since)
+            self._log_at, self._logged = now + LOG_PERIOD, True
 
 
-class _WaitLog:
-    """The waits of all threads of this process, oldest first."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._entries: List[_Entry] = []
-        self._timer: Optional[WallTimer] = None
-
-    def add(self, entry: _Entry) -> None:
-        with self._lock:
-            self._entries.append(entry)
-            if self._timer is None:
-                self._timer = WallTimer(_CHECK_PERIOD, self._log)
-
-    def remove(self, entry: _Entry) -> None:
-        with self._lock:
-            self._entries.remove(entry)
-
-    def oldest(self) -> Optional[_Entry]:
-        with self._lock:
-            return self._entries[0] if self._entries else None
-
-    def _log(self) -> None:
-        with self._lock:
-            entries = list(self._entries)
-        for entry in entries:
-            entry.log_if_due()
-
-
-_WAIT_LOG = _WaitLog()
+_entries: List[_Entry] = []  # of all threads, oldest first
+_lock = threading.Lock()
+_timers: List[WallTimer] = []  # one, started by the first wait
 
 
 @contextmanager
 def log_wait(what: Callable[[], str], delay: float = LOG_PERIOD) -> Iterator[None]:
     """Log what() every few seconds while the block runs, first after `delay` seconds of wall time."""
     entry = _Entry(what, delay)
-    _WAIT_LOG.add(entry)
+    with _lock:
+        _entries.append(entry)
+        if not _timers:
+            _timers.append(WallTimer(_CHECK_PERIOD, _log_all))
     try:
         yield
     finally:
-        _WAIT_LOG.remove(entry)
+        with _lock:
+            _entries.remove(entry)
 
 
 def longest_wait() -> Optional[Wait]:
     """Return the longest wait in progress, or None."""
-    entry = _WAIT_LOG.oldest()
-    return None if entry is None else entry.wait
+    with _lock:
+        oldest = _entries[0] if _entries else None
+    return None if oldest is None else Wait(oldest.what(), time.monotonic() - oldest.started_at)
+
+
+def _log_all() -> None:
+    with _lock:
+        entries = list(_entries)
+    for entry in entries:
+        entry.log_if_due()
