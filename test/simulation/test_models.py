@@ -267,9 +267,10 @@ def test_texture_without_coordinates_is_rejected(tmp_path):
         (f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf {2**70} 1 2", "is out of range"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x", "line 4, 'f 1 2 x'"),
         ("v 0 0", "line 1, 'v 0 0': expected 3 numbers"),
-        ("v 0 0 nan", "not a finite number"),
-        ("v 0 0 1e39", "not a finite number"),
-        ("v 0 0 1_0", "not a plain number"),
+        ("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3", "a vertex is not finite"),
+        ("v 0 0 1e39\nv 1 0 0\nv 0 1 0\nf 1 2 3", "a vertex is not finite"),
+        ("v 0 0 1_0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "a vertex is invalid: not a plain number"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt x\nf 1/1 2/1 3/1", "a texture coordinate is invalid"),
     ],
 )
 def test_malformed_mesh_is_rejected(tmp_path, text, words):

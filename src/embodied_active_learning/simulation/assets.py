@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Tuple
 
 import cv2
 import numpy as np
@@ -34,11 +35,27 @@ def read_asset(path: Path, expected: str, limit: int) -> bytes:
 
 
 def read_picture(path: Path) -> np.ndarray:
-    """Return a PNG or JPEG file as (H, W, 3) uint8 RGB.
+    """Return a PNG or JPEG file as (H, W, 3) uint8 RGB. Raises WorldError as check_picture(), or for damaged pixels."""
+    content, shape = _read_header(path)
+    try:
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        picture = None
+    if picture is None or picture.shape != (*shape, 3):
+        raise WorldError(f"texture {path} is damaged: its pixels cannot be decoded; convert it to PNG again")
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
-    The size is read from the header before anything is decoded. Raises WorldError as read_asset() does, and for a
-    damaged or too large picture.
+
+def check_picture(path: Path) -> None:
+    """Check a PNG or JPEG file by its header, without decoding it.
+
+    Raises WorldError as read_asset(), and for another format, an incomplete file, or too many pixels.
     """
+    _read_header(path)
+
+
+def _read_header(path: Path) -> Tuple[bytes, Tuple[int, int]]:
+    """Content, and height and width."""
     content = read_asset(path, "a PNG or JPEG picture", 2**26)
     try:
         height, width = encoded_size(content)
@@ -46,10 +63,4 @@ def read_picture(path: Path) -> np.ndarray:
         raise WorldError(f"texture {path} {error}; convert it to PNG") from None
     if not 0 < height * width <= LARGEST_PICTURE:
         raise WorldError(f"texture {path} has {width} x {height} pixels: reduce it to at most {LARGEST_PICTURE}")
-    try:
-        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
-        picture = None
-    if picture is None or picture.shape != (height, width, 3):
-        raise WorldError(f"texture {path} is damaged: its pixels cannot be decoded; convert it to PNG again")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return content, (height, width)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Dict, List, Optional, Sequence, Tuple
@@ -81,7 +80,7 @@ class Mesh:
         lines += [f"v {item}" for item in vertices]
         lines += [f"vt {item}" for item in coordinates]
         lines += [f"vn {item}" for item in normals]
-        words = ["/".join(str(index or "") for index in corner).rstrip("/") for corner in corners.tolist()]
+        words = _corner_words(corners)
         lines += [f"f {' '.join(words[a:b])}" for a, b in zip(self.starts[:-1].tolist(), self.starts[1:].tolist())]
         path.write_text("\n".join([*lines, ""]), encoding="ascii")
         map_line = f"map_Kd {texture}\n" if texture else ""
@@ -109,7 +108,6 @@ class _Parser:
     points: List[str] = field(default_factory=list)
     coordinates: List[str] = field(default_factory=list)
     normals: List[str] = field(default_factory=list)
-    values: List[Tuple[float, ...]] = field(default_factory=list)
     colours: List[Tuple[float, ...]] = field(default_factory=list)
     corners: List[Tuple[int, int, int]] = field(default_factory=list)
     starts: List[int] = field(default_factory=lambda: [0])
@@ -123,9 +121,9 @@ class _Parser:
         if keyword == "v":
             self._add_vertex(words)
         elif keyword == "vt":
-            self.coordinates.append(_checked(words[:2], 1))
+            self.coordinates.append(_joined([*words, "0"], 2))
         elif keyword == "vn":
-            self.normals.append(_checked(words[:3], 3))
+            self.normals.append(_joined(words, 3))
         elif keyword == "f":
             self._add_face(words)
         elif keyword == "usemtl":
@@ -134,22 +132,24 @@ class _Parser:
             self.libraries.append(argument(line))
 
     def mesh(self, path: Path) -> Mesh:
-        if not self.values:
+        if not self.points:
             raise WorldError(f"mesh {path} has no vertices: export it again as OBJ")
         if not self.face_materials:
-            raise WorldError(f"mesh {path} has no faces, only {len(self.values)} vertices: export it with faces")
+            raise WorldError(f"mesh {path} has no faces, only {len(self.points)} vertices: export it with faces")
+        _numbers(self.coordinates, "texture coordinate", path)
+        _numbers(self.normals, "normal", path)
         used = sorted(set(self.face_materials))
         new_index = {old: new for new, old in enumerate(used)}
         names = list(self.materials)
         return Mesh(
             path=path,
-            vertices=np.array(self.values),
+            vertices=_numbers(self.points, "vertex", path).reshape(-1, 3),
             corners=self._checked_corners(path),
             starts=np.array(self.starts),
             materials=tuple(names[index] for index in used),
             face_materials=np.array([new_index[index] for index in self.face_materials]),
             libraries=tuple(self.libraries),
-            vertex_colours=np.array(self.colours) if len(self.colours) == len(self.values) else None,
+            vertex_colours=np.array(self.colours) if len(self.colours) == len(self.points) else None,
             text=(self.points, self.coordinates, self.normals),
         )
 
@@ -167,8 +167,7 @@ class _Parser:
         return corners
 
     def _add_vertex(self, words: Sequence[str]) -> None:
-        self.points.append(_checked(words[:3], 3))
-        self.values.append(tuple(map(float, words[:3])))
+        self.points.append(_joined(words, 3))
         if len(words) == 6:
             colour = tuple(map(float, words[3:]))
             scale = 255.0 if max(colour) > 1.0 else 1.0
@@ -191,19 +190,38 @@ def argument(line: str) -> str:
     return "".join(line.split(maxsplit=1)[1:]).strip()
 
 
-def _checked(words: Sequence[str], least: int) -> str:
-    """Numbers as text, after a check that they are finite."""
-    if len(words) < least:
-        raise ValueError(f"expected {least} numbers")
-    if not all(math.isfinite(float(word)) and abs(float(word)) < _LARGEST_COORDINATE for word in words):
-        raise ValueError("not a finite number")
-    if not all(word.isascii() and "_" not in word for word in words):
-        raise ValueError("not a plain number")
-    return " ".join(words)
+def _joined(words: Sequence[str], count: int) -> str:
+    """The first numbers of a statement, as text."""
+    if len(words) < count:
+        raise ValueError(f"expected {count} numbers")
+    return " ".join(words[:count])
+
+
+def _numbers(lines: Sequence[str], name: str, path: Path) -> np.ndarray:
+    """The numbers of all statements of a kind, flat. Raises WorldError unless they are finite."""
+    text = " ".join(lines)
+    try:
+        if not text.isascii() or "_" in text:  # which Python accepts in numbers
+            raise ValueError("not a plain number")
+        values: np.ndarray = np.array(text.split(), dtype=np.float64)
+    except ValueError as error:
+        raise WorldError(f"mesh {path} is malformed: a {name} is invalid: {error}; export it again") from None
+    if not np.all(np.abs(values) < _LARGEST_COORDINATE):  # also false for NaN
+        raise WorldError(f"mesh {path} is malformed: a {name} is not finite; export it again")
+    return values
+
+
+def _corner_words(corners: np.ndarray) -> List[str]:
+    """Corners (C, 3), from 1 with 0 for none, as OBJ text."""
+    if not corners[:, 1:].any():
+        return list(map(str, corners[:, 0].tolist()))
+    return ["/".join(str(index or "") for index in corner).rstrip("/") for corner in corners.tolist()]
 
 
 def _corner(word: str, totals: Tuple[int, int, int]) -> Tuple[int, int, int]:
     """Indices of a corner v, v/t, v//n or v/t/n, from 0; -1 for none."""
+    if "/" not in word:
+        return _index(word, totals[0]), -1, -1
     parts = word.split("/")
     if len(parts) > 3:
         raise ValueError(f"{word} has more than three indices")

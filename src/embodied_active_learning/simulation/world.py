@@ -15,6 +15,7 @@ from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.schema import load, nearest
+from embodied_active_learning.simulation.assets import check_picture
 from embodied_active_learning.simulation.materials import Appearance
 from embodied_active_learning.simulation.object_model import ObjectModel, read_model
 from embodied_active_learning.simulation.placement import check_heights, check_objects
@@ -173,8 +174,8 @@ def _build_table(settings: TableSettings, folder: Path, workspace: Workspace) ->
     centre = tuple(float(value) for value in workspace.centre[:2])
     size = tuple(float(2.0 * (value + _TABLE_MARGIN)) for value in workspace.scale[:2])
     texture = None if settings.texture is None else locate(settings.texture, folder)
-    if texture is not None and not os.path.exists(texture):
-        raise WorldError(f"table/texture: {texture} is missing; give the path of a PNG or JPEG picture")
+    if texture is not None:
+        check_picture(texture)
     generated = settings.generate
     if texture is None and settings.colour is None and generated is None:
         generated = GeneratedTexture("plain")
