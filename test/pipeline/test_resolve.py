@@ -80,7 +80,7 @@ def test_a_run_on_a_real_robot_is_named_after_it_and_not_after_a_simulated_world
 
 
 def test_a_world_cannot_be_chosen_for_a_real_robot(tmp_path):
-    with pytest.raises(ConfigError, match="only a simulated table can be chosen"):
+    with pytest.raises(ConfigError, match="only a simulated world can be chosen"):
         resolve("demo", override(tmp_path, arm__robot="franka", simulation__world="right"))
 
 
@@ -93,8 +93,8 @@ def test_a_profile_of_a_robot_is_refused_in_simulation(tmp_path):
     ("robot", "bringup", "robot_ip", "expected"),
     [
         ("franka", "all", "", "robot_ip is missing"),
-        ("franka", "some", "172.16.0.2", "legal are all, nodes, none"),
-        ("recording", "all", "", "nothing is to be started"),
+        ("franka", "some", "172.16.0.2", "expected one of all, nodes, none"),
+        ("recording", "all", "", "use bringup:=none"),
     ],
 )
 def test_an_arm_that_cannot_be_started_is_refused(tmp_path, robot, bringup, robot_ip, expected):
@@ -131,7 +131,7 @@ def test_no_arm_goes_on_with_what_was_learned_from_a_recording(tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "error", "expected"),
     [
-        (["exploration.steps=5"], ConfigError, "not of the form section/key=value"),
+        (["exploration.steps=5"], ConfigError, "malformed: expected section/key=value"),
         (["exploration/steps=["], ConfigError, "not plain YAML"),
         (["exploration/stepps=5"], ConfigError, "did you mean exploration/steps?"),
         (["simulation/world=rigth"], WorldError, "did you mean right?"),

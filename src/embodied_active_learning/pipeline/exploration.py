@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Mapping, Optional
+from typing import Dict, Mapping, Optional
 
 import numpy as np
 
@@ -35,6 +35,23 @@ class Assessment:
     distance: float  # path length in x and y [m]
     turning: float  # [rad]
     effort: float  # integral of the squared normalised acceleration [1/s^3]; NaN for pose commands
+
+
+def exploration_row(stamp: float, state: np.ndarray, assessment: Assessment) -> Dict[str, float]:
+    """Return the row of exploration.csv for a step. stamp: [s]; state: (3,) [m, m, rad]."""
+    x, y, theta = map(float, state)
+    return {
+        "step": assessment.step,
+        "time": stamp,
+        "x": x,
+        "y": y,
+        "theta": theta,
+        "ergodic_measure": assessment.ergodic_measure,
+        "coverage": assessment.coverage,
+        "distance": assessment.distance,
+        "turning": assessment.turning,
+        "effort": assessment.effort,
+    }
 
 
 class ExplorationRun:

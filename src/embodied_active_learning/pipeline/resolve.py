@@ -1,4 +1,4 @@
-"""From a profile and overrides to the configuration of one run, checked against world and session."""
+"""Combine profile and overrides into the configuration of a run, checked against world and session."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from embodied_active_learning.simulation.world import find_world, load_world
 UNSET = "unset"
 """Default of optional launch arguments: roslaunch --ros-args lists those with an empty default as required."""
 BRINGUPS = ("all", "nodes", "none")
-"""What of the arm a launch file starts: everything, all but a real arm's drivers, or nothing."""
+"""What a launch file starts of the arm: everything, everything but a real arm's drivers, or nothing."""
 
 
 def resolve(
@@ -39,17 +39,37 @@ def resolve(
     recorded: Optional[Mapping[str, Any]] = None,
     needs_arm: bool = True,
 ) -> Config:
-    """The configuration of one run: a profile (name in config/, or path) with SECTION/KEY=VALUE overrides.
+    """Return the configuration of a run for launch files: overrides are texts SECTION/KEY=VALUE.
 
-    No profile is the paper's, or for a session that is resumed the configuration that it was made with. A real robot
-    has a profile of its own, by name or path, whose limits win over those of the run's profile; none is its name in
-    config/. An override without a value changes nothing. recorded: sections of keys that recorded images were made
-    with; a new session of them begins with these. needs_arm: False where a session is resumed for what is stored in it
-    alone: it may come from another computer, and its world be absent here. The world's path and the session's name are
-    filled in.
-    Raises ConfigError, WorldError or SessionError, for whatever would keep the run from starting.
+    An override without a value is ignored. The other arguments are those of resolve_changes.
     """
-    config = combine(profile, overrides, robot_profile, recorded)
+    return resolve_changes(profile, _changes(overrides), robot_profile, recorded, needs_arm)
+
+
+def resolve_changes(
+    profile: str,
+    changes: Mapping[str, Dict[str, Any]],
+    robot_profile: str = "",
+    recorded: Optional[Mapping[str, Any]] = None,
+    needs_arm: bool = True,
+) -> Config:
+    """Return the configuration of a run, with the path of its world and the name of its session filled in.
+
+    Args:
+        profile: Name of a profile in config/, or path of a YAML file. Without one, the defaults, or the configuration
+            of the session that is resumed.
+        changes: Sections of keys that override the profile.
+        robot_profile: The same for a real robot, whose limits override the run's profile; by default the one with the
+            robot's name.
+        recorded: Sections of keys that recorded images were made with; defaults of a new session of these images.
+        needs_arm: False if a resumed session is only read: its world may be missing on this computer.
+
+    Raises:
+        ConfigError: A profile or a value is invalid.
+        WorldError: The world cannot be built.
+        SessionError: The session cannot be opened for writing, see check_session.
+    """
+    config = _combine(profile, changes, robot_profile, recorded)
     if config.arm.robot == SIMULATED:
         if given(robot_profile):
             raise ConfigError(
@@ -57,9 +77,9 @@ def resolve(
             )
         if needs_arm or not config.session.resume:
             config = _with_world(config)
-    elif "world" in _changes(overrides).get("simulation", {}):
+    elif "world" in changes.get("simulation", {}):
         raise ConfigError(
-            f"simulation/world is given, but arm/robot is {config.arm.robot}: only a simulated table can be chosen"
+            f"simulation/world is given, but arm/robot is {config.arm.robot}: only a simulated world can be chosen"
         )
     name = config.session.name or _session_name(config)
     root = os.path.realpath(session_root(config))
@@ -71,10 +91,15 @@ def resolve(
 def combine(
     profile: str, overrides: Sequence[str], robot_profile: str = "", recorded: Optional[Mapping[str, Any]] = None
 ) -> Config:
-    """What resolve begins with: the settings, without a look at session and world. Raises ConfigError."""
-    changes = _changes(overrides)
+    """Return the configuration of resolve() without checking session and world. Raises ConfigError."""
+    return _combine(profile, _changes(overrides), robot_profile, recorded)
+
+
+def _combine(
+    profile: str, changes: Mapping[str, Dict[str, Any]], robot_profile: str, recorded: Optional[Mapping[str, Any]]
+) -> Config:
     profile, robot_profile = given(profile), given(robot_profile)
-    return Config.from_dict(merge(_base(profile, robot_profile, changes, dict(recorded or {})), changes))
+    return Config.from_dict(merge(_base(profile, robot_profile, changes, dict(recorded or {})), dict(changes)))
 
 
 def given(value: str) -> str:
@@ -90,29 +115,29 @@ def _changes(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
 
 
 def check_bringup(config: Config, bringup: str, robot_ip: str) -> None:
-    """Check what launch files are told about starting the arm. Raises ConfigError."""
+    """Check the launch arguments about starting the arm. Raises ConfigError."""
     if bringup not in BRINGUPS:
-        raise ConfigError(f"bringup is {shown(bringup)}: legal are {', '.join(BRINGUPS)}")
+        raise ConfigError(f"bringup is {shown(bringup)}: expected one of {', '.join(BRINGUPS)}")
     if config.arm.robot == RECORDED and bringup != "none":
-        raise ConfigError("arm/robot is recording: nothing is to be started for it")
+        raise ConfigError("arm/robot is recording: use bringup:=none")
     if config.arm.robot == REAL and bringup == "all" and not given(robot_ip):
         raise ConfigError(
-            "robot_ip is missing: give the address of the Panda's controller, robot_ip:=172.16.0.2 say, or "
-            "bringup:=nodes where franka_ros and the camera's driver run already"
+            "robot_ip is missing: give the address of the Panda's controller, such as robot_ip:=172.16.0.2, or "
+            "bringup:=nodes if franka_ros and the camera driver are running"
         )
 
 
 def _with_world(config: Config) -> Config:
-    """The configuration with the path of its world, which is checked."""
+    """Check the world, and fill in its path."""
     world = os.path.realpath(find_world(config.simulation.world))
     load_world(world, config.workspace.box(), config.camera)
     return replace(config, simulation=replace(config.simulation, world=world))
 
 
 def _base(
-    profile: str, robot_profile: str, changes: Dict[str, Dict[str, Any]], stored: Dict[str, Any]
+    profile: str, robot_profile: str, changes: Mapping[str, Dict[str, Any]], stored: Dict[str, Any]
 ) -> Dict[str, Any]:
-    """What the overrides apply to. stored: settings of before, unless there is a session to be resumed."""
+    """Return the sections that the overrides apply to. stored: settings of a recording, if any."""
     folder = package_folder(PACKAGE) / "config"
     given = Config.from_dict({section: changes.get(section, {}) for section in ("session", "arm")})
     if given.session.resume:
@@ -126,7 +151,7 @@ def _base(
 
 
 def _session_name(config: Config) -> str:
-    """A legal name, however the world is called, and however long explorer and seed are."""
+    """Return a valid session name for any name of the world."""
     simulated = config.arm.robot == SIMULATED
     world = Path(config.simulation.world).stem if simulated else config.arm.robot
     exploration = config.exploration
@@ -139,15 +164,15 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
     path, equals, value = text.partition("=")
     section, slash, key = path.partition("/")
     if not (equals and slash and section and key):
-        raise ConfigError(f"override {shown(text)} is not of the form section/key=value")
+        raise ConfigError(f"override {shown(text)} is malformed: expected section/key=value")
     if not given(value):
         return {}
     try:
         return {section: {key: value if _is_text(section, key) else parse_yaml(value)}}
     except ValueError as error:
-        raise ConfigError(f"override {shown(text)} has a value that is not plain YAML ({error})") from error
+        raise ConfigError(f"override {shown(text)} is malformed: the value is not plain YAML ({error})") from error
 
 
 def _is_text(section: str, key: str) -> bool:
-    """Whether the setting is a text, which must not be read as YAML: a session may be called 1e3."""
+    """Return whether a setting is a text, which must not be parsed as YAML: a session may be named 1e3."""
     return any(isinstance(item.default, str) for name, item in settings(Config) if (name, item.name) == (section, key))

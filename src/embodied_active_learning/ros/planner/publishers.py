@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Dict
 
 import numpy as np
 import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.msg import PlanarState, TargetDistribution
-from embodied_active_learning.pipeline.exploration import Assessment, ExplorationRun
+from embodied_active_learning.pipeline.exploration import Assessment, ExplorationRun, exploration_row
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.conversions import state_arrays
 from embodied_active_learning.ros.rviz.exploration import RvizExploration
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.tables import COLUMNS, Table, read_table
@@ -38,7 +38,8 @@ class ExplorationPublisher:
     def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment) -> None:
         """Publish the step that ended in a state; append its row unless it was written before a resume."""
         if assessment.step > self.last_step:
-            self._table.append(_row(state, assessment))
+            stamp, (pose, _) = state.header.stamp.to_sec(), state_arrays(state)
+            self._table.append(exploration_row(stamp, pose, assessment))
             self.last_step = assessment.step
         self._publisher.publish(_message(state, run, assessment))
         self._rviz.show_step(state.header.stamp, run, assessment, last=assessment.step == self._steps)
@@ -50,21 +51,6 @@ class ExplorationPublisher:
     def close(self) -> None:
         """Close the table."""
         self._table.close()
-
-
-def _row(state: PlanarState, assessment: Assessment) -> Dict[str, float]:
-    return {
-        "step": assessment.step,
-        "time": state.header.stamp.to_sec(),
-        "x": state.x,
-        "y": state.y,
-        "theta": state.theta,
-        "ergodic_measure": assessment.ergodic_measure,
-        "coverage": assessment.coverage,
-        "distance": assessment.distance,
-        "turning": assessment.turning,
-        "effort": assessment.effort,
-    }
 
 
 def _message(state: PlanarState, run: ExplorationRun, assessment: Assessment) -> TargetDistribution:

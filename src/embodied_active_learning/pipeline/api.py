@@ -1,0 +1,155 @@
+"""The functions of the public Python API that are not classes of their own: see the package's docstring."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Union
+
+from embodied_active_learning.config import Config, SessionConfig
+from embodied_active_learning.errors import ConfigError, ObservationError, SessionError
+from embodied_active_learning.objects.collection import ViewCollection
+from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.fingerprint import FingerprintSet
+from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
+from embodied_active_learning.pipeline.identification import IdentificationRun
+from embodied_active_learning.pipeline.resolve import resolve_changes
+from embodied_active_learning.schema import nearest, settings
+from embodied_active_learning.session.fingerprints import load_fingerprints
+from embodied_active_learning.session.session import Session, find_session, session_root
+from embodied_active_learning.simulation.simulation import Simulation
+from embodied_active_learning.simulation.world import load_world
+
+SessionLike = Union[Session, Path, str]
+"""A session, its folder, or its name below the default session/root."""
+
+
+def load_config(profile: str = "", **overrides: Any) -> Config:
+    """Return the configuration of a run, checked against world and sessions.
+
+    Args:
+        profile: Name of a profile in config/, or path of a YAML file. Without one, the defaults.
+        **overrides: Keys that are unique among all sections (`world="right", steps=300`), and sections with their keys
+            (`exploration={"samples": 500}`).
+
+    Raises:
+        ConfigError: Unknown or ambiguous key, or invalid value.
+        WorldError: The world cannot be built.
+        SessionError: The session exists, or does not exist and is to be resumed.
+    """
+    return resolve_changes(profile, _sections(overrides))
+
+
+def load_session(session: SessionLike) -> Session:
+    """Open a session for reading, also while it is running. Raises SessionError if there is none."""
+    if isinstance(session, Session):
+        return session
+    if isinstance(session, str) and os.sep not in session:
+        return Session.open_read_only(find_session(session_root(Config(session=SessionConfig())), session))
+    return Session.open_read_only(Path(os.path.abspath(os.path.expanduser(session))))
+
+
+def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: Any) -> FingerprintSet:
+    """Collect and store the fingerprints of all objects that a session has learned.
+
+    Args:
+        session: A session that was learned.
+        from_stored: Choose the views among the stored observations instead of collecting them in the simulation.
+        **settings_: Keys of the section `fingerprint`, such as `views=30`.
+
+    Raises:
+        SessionError: Nothing was learned yet.
+        ObservationError: There is nothing to find, or too few views.
+    """
+    found = load_session(session)
+    values = found.config.to_dict()
+    values["fingerprint"].update(settings_)
+    config = Config.from_dict(values)
+    run = FingerprintRun(found.paths.path, config.fingerprint, from_stored)
+    if run.nothing_found:
+        raise ObservationError(run.nothing_found)
+    if not from_stored:
+        _collect_views(run, config)
+    return run.finish()
+
+
+def identify(
+    session: Union[SessionLike, List[SessionLike]],
+    images_of: SessionLike,
+    images: int = 0,
+    name: str = "",
+    overwrite: bool = False,
+    **settings_: Any,
+) -> List[Decision]:
+    """Search for the fingerprints of one or several sessions in the images of another one, and store the decisions.
+
+    Args:
+        session: Session or sessions with fingerprints.
+        images_of: Session with the images to search.
+        images: Number of images, from the first on; 0 for all.
+        name: Name of the results below identification/ in `images_of`; empty for the current time.
+        overwrite: Replace earlier results of that name.
+        **settings_: Keys of the section `identification`, such as `decision="belief"`.
+
+    Raises:
+        SessionError: There are no fingerprints or too few images, or the name is taken.
+    """
+    sources = session if isinstance(session, list) else [session]
+    sets = [load_fingerprints(load_session(source).paths.path) for source in sources]
+    searched = load_session(images_of)
+    values = searched.config.to_dict()
+    values["identification"].update(settings_)
+    section = Config.from_dict(values).identification
+    name = name or time.strftime("%Y%m%d-%H%M%S")
+    run = IdentificationRun(searched.paths.path, sets, name, images, section, overwrite)
+    try:
+        if run.images > run.stored:
+            raise SessionError(f"session {searched.name} has only {run.stored} images: ask for fewer than {run.images}")
+        while not run.complete:
+            run.advance()
+        decisions = run.decide()
+        run.save(decisions)
+    finally:
+        run.close()
+    return decisions
+
+
+def _collect_views(run: FingerprintRun, config: Config) -> None:
+    """Collect the views of everything that was found in the session's simulated world."""
+    world = load_world(config.simulation.world, config.workspace.box())
+    with Simulation(world, config) as simulation:
+        for name, collection in zip(run.names, run.collections):
+            if isinstance(collection, ViewCollection):
+                _fill(collection, simulation)
+            run.require_complete(name)
+
+
+def _fill(collection: ViewCollection, simulation: Simulation) -> None:
+    simulation.go_to(collection.start.tolist())
+    while True:
+        collection.observe(simulation.pose, simulation.velocity, simulation.image())
+        if collection.complete or collection.exhausted:
+            return
+        command = collection.next_command()
+        simulation.move(command.velocity.tolist(), command.duration)
+
+
+def _sections(overrides: Mapping[str, Any]) -> Dict[str, Dict[str, Any]]:
+    """Return keyword arguments as sections of keys."""
+    keys: Dict[str, List[str]] = {}
+    for section, item in settings(Config):
+        keys.setdefault(item.name, []).append(section)
+    names = {section for section, _ in settings(Config)}
+    sections: Dict[str, Dict[str, Any]] = {}
+    for name, value in overrides.items():
+        if name in names and isinstance(value, dict):
+            sections.setdefault(name, {}).update(value)
+        elif len(keys.get(name, ())) == 1:
+            sections.setdefault(keys[name][0], {})[name] = value
+        elif name in keys:
+            choices = " or ".join(f"{section}={{{name!r}: ...}}" for section in keys[name])
+            raise ConfigError(f"{name} is a key of several sections: give {choices}")
+        else:
+            raise ConfigError(f"unknown key {name}: {nearest(name, [*names, *keys])}")
+    return sections

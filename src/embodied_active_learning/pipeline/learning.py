@@ -1,0 +1,190 @@
+"""Learn a world in one process, without ROS: the nodes' exploration and training against the PyBullet simulation.
+
+A run has the same content as one of learn.launch: planner and trainer are in lock-step (training/max_lag 0), and the
+times of observations are rounded like ROS times.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import TracebackType
+from typing import Callable, Optional, Type
+
+import numpy as np
+import torch
+
+from embodied_active_learning.config import SIMULATED, Config
+from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
+from embodied_active_learning.model.learner import UpdateReport
+from embodied_active_learning.pipeline.exploration import ExplorationRun, exploration_row
+from embodied_active_learning.pipeline.progress import Progress
+from embodied_active_learning.pipeline.training import TrainingRun
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import conclude_launch
+from embodied_active_learning.simulation.simulation import Simulation
+from embodied_active_learning.simulation.world import load_world
+
+ProgressCallback = Callable[[Progress], None]
+_PROGRESS_PERIOD = 0.5
+"""Seconds between progress reports while the last updates are made."""
+
+
+def learn(config: Config, on_progress: Optional[ProgressCallback] = None) -> Session:
+    """Explore a simulated world and train the model. Paper, Alg. 1.
+
+    A session that was interrupted is continued if session/resume is set; its steps are then not those of an
+    uninterrupted run.
+
+    Args:
+        config: Configuration of a new session, as load_config returns it.
+        on_progress: Called after each step, and regularly while the last updates are made.
+
+    Returns:
+        The finished session, open for reading.
+
+    Raises:
+        ConfigError: arm/robot is not the simulation.
+        WorldError: The world cannot be built.
+        SessionError: The session exists or cannot be written.
+        DivergenceError: Training diverged repeatedly.
+    """
+    if config.arm.robot != SIMULATED:
+        raise ConfigError(f"arm/robot is {config.arm.robot}: only the simulation can be explored without ROS")
+    started_at = time.monotonic()
+    world = load_world(config.simulation.world, config.workspace.box())
+    with Simulation(world, config) as simulation, BackgroundTraining(config) as training:
+        _explore(config, simulation, training, on_progress or (lambda progress: None))
+        folder = training.run.folder
+    session = Session.open_read_only(folder)
+    conclude_launch(session, finished=True, wall_time=time.monotonic() - started_at)
+    return session
+
+
+class BackgroundTraining:
+    """A TrainingRun that trains in a thread of its own. Leaving the context writes a checkpoint and ends it."""
+
+    def __init__(self, config: Config) -> None:
+        """Create or resume the configured session. Raises EmbodiedActiveLearningError if that is not possible."""
+        self._config = config
+        self._torch_threads = torch.get_num_threads()
+        if config.training.threads:
+            torch.set_num_threads(config.training.threads)
+        self.run = TrainingRun(config)
+        self.report: Optional[UpdateReport] = None
+        """Report of the newest update."""
+        self._error: Optional[Exception] = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._train, name="training")
+
+    def __enter__(self) -> BackgroundTraining:
+        torch.set_num_threads(self.run.loss.torch_threads)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        trace: Optional[TracebackType],
+    ) -> None:
+        self._stop.set()
+        self.run.wake()
+        self._thread.join()
+        self.run.close()
+        torch.set_num_threads(self._torch_threads)
+        if error is None:
+            self.check()
+
+    def check(self) -> None:
+        """Raise the error that has ended training, if any."""
+        if self._error is not None:
+            raise self._error
+
+    def log_std(self, states: np.ndarray, observations: int) -> Optional[np.ndarray]:
+        """Return the log standard deviation (S,) at states (S, 3) [m, m, rad]; None before anything is learned.
+
+        Waits until training is at most training/max_lag updates behind those due for this many observations.
+        """
+        awaited = self._config.updates_awaited(observations)
+        if awaited == 0:
+            return None  # even if training is ahead, so that runs are reproducible
+        ready = False
+        while not ready:
+            self.check()
+            log_std, _, ready = self.run.log_std(states, max(0, awaited - self._config.training.max_lag))
+        return None if log_std is None else np.asarray(log_std, dtype=np.float64)
+
+    def _train(self) -> None:
+        try:
+            self.run.train(self._stop, self._on_update, lambda: None)
+        except Exception as error:  # raised again in the exploring thread by check()
+            self._error = error
+            self.run.wake()
+
+    def _on_update(self, report: UpdateReport) -> None:
+        self.report = report
+
+
+def _explore(
+    config: Config, simulation: Simulation, training: BackgroundTraining, on_progress: ProgressCallback
+) -> None:
+    """Make the remaining steps, then wait for the remaining updates."""
+    run, steps = training.run, config.exploration.steps
+    session = Session.open_read_only(run.folder)
+    rows = session.read_table("exploration")
+    effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
+    exploration = ExplorationRun(config, run.trajectory, effort)
+    measure = float("nan")
+    with session.open_table("exploration") as table:
+        table.truncate_after("step", len(run.trajectory))
+        _execute(simulation, _first_command(config, run.trajectory))
+        while exploration.step < steps:
+            stamp, state, velocity = ros_seconds(simulation.time), simulation.pose, simulation.velocity
+            run.observe(exploration.step, stamp, state.tolist(), simulation.image())
+            exploration.observe(state, velocity)
+            assessment = exploration.assess(training.log_std(exploration.sample_states, exploration.step))
+            table.append(exploration_row(stamp, state, assessment))
+            measure = assessment.ergodic_measure
+            on_progress(_progress(config, training, measure))
+            if exploration.step < steps:
+                _execute(simulation, exploration.next_command())
+    while not run.finished:
+        training.check()
+        time.sleep(_PROGRESS_PERIOD)
+        on_progress(_progress(config, training, measure))
+
+
+def ros_seconds(seconds: float) -> float:
+    """Return a time in seconds as a ROS time holds it: whole nanoseconds, rounded down."""
+    whole = int(seconds)
+    return whole + int((seconds - whole) * 1e9) / 1e9
+
+
+def _first_command(config: Config, trajectory: np.ndarray) -> Command:
+    """Return to the last observed pose; a new run starts where the arm is."""
+    if len(trajectory):
+        return PoseCommand.from_array(config.workspace.box().clip(trajectory[-1]))
+    return VelocityCommand(0.0, 0.0, 0.0, config.exploration.step_duration)
+
+
+def _execute(simulation: Simulation, command: Command) -> None:
+    if isinstance(command, VelocityCommand):
+        simulation.move(command.velocity.tolist(), command.duration)
+    else:
+        simulation.go_to(command.state.tolist())
+
+
+def _progress(config: Config, training: BackgroundTraining, ergodic_measure: float) -> Progress:
+    report = training.report
+    return Progress(
+        step=training.run.observations,
+        steps=config.exploration.steps,
+        updates=training.run.updates,
+        updates_planned=config.updates_planned,
+        loss=float("nan") if report is None else report.loss,
+        active_units=float("nan") if report is None else report.active_units,
+        latent_size=config.model.latent_size,
+        ergodic_measure=ergodic_measure,
+    )
