@@ -13,6 +13,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.failure import report_failure
+from embodied_active_learning.ros.runtime.handshake import install_handshake_timeout
 from embodied_active_learning.ros.runtime.master import wait_for_master
 from embodied_active_learning.ros.runtime.shutdown import ExitCode, ShutdownDeadline, exit_process
 from embodied_active_learning.ros.runtime.wait_log import log_wait
@@ -49,6 +50,7 @@ def run_node(
 def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool) -> ExitCode:
     try:
         wait_for_master()
+        install_handshake_timeout()
         rospy.init_node(name)
         show_library_log()
         if needs_clock:
