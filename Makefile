@@ -8,7 +8,7 @@
 
 SHELL := /bin/bash
 VENV := .venv
-INTERFACES := $(wildcard msg/*.msg srv/*.srv)
+COMPILED := $(wildcard msg/*.msg srv/*.srv src/*/model/native/*.[ch])
 KERNELS := $(wildcard src/embodied_active_learning/model/native/*.[ch])
 
 all: build
@@ -21,7 +21,7 @@ $(VENV)/installed: requirements.txt tools/install.sh tools/debian-packages.txt t
 build: build/built
 
 # The devel space refers to the Python sources, so only messages and kernels have to be built again.
-build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(INTERFACES) $(KERNELS)
+build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(COMPILED) $(KERNELS)
 	tools/build.sh
 	touch $@
 
@@ -44,7 +44,7 @@ bench-docs: build
 lint: build
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	source ./setup.bash && $(VENV)/bin/mypy
+	source ./setup.bash && python3 -m mypy
 	ROS_DISTRO=noetic ROS_PACKAGE_PATH=$(CURDIR):/usr/share:/opt/ros/noetic/share catkin_lint --offline -W2 --strict \
 		--ignore uninstalled_script --ignore package_path_name .
 
