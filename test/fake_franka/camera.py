@@ -1,4 +1,4 @@
-"""The picture that usb_cam would publish: the world's table in the middle of a wider frame."""
+"""The image of usb_cam: the world's table in the middle of a wider frame."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from embodied_active_learning.simulation.scene import Scene, intrinsics
 from embodied_active_learning.simulation.world import load_world
 
 ENCODINGS = ("rgb8", "bgr8", "mono8", "yuv422", "yuv422_yuy2")
-_BORDER = 96  # grey level of what lies left and right of the square that is rendered
-# ITU-R BT.601, studio range, as cameras have it: rows Y, U, V.
+_BORDER = 96  # grey level left and right of the rendered square
+# ITU-R BT.601, studio range: rows Y, U, V.
 _YUV = np.array([[65.738, 129.057, 25.064], [-37.945, -74.494, 112.439], [112.439, -94.154, -18.285]]) / 256.0
 _YUV_OFFSET = np.array([16.0, 128.0, 128.0])
 
 
 class TableCamera:
-    """Looks straight down at a world; the camera's square picture fills the height of its frame."""
+    """Renders a world from above; the square image fills the height of the frame."""
 
     def __init__(self, config: Config, world: str, width: int, height: int) -> None:
         """Load the world. Raises WorldError. width, height: of the frame, px."""
@@ -34,10 +34,10 @@ class TableCamera:
         self._scene.close()
 
     def frame(self, camera: np.ndarray) -> np.ndarray:
-        """(height, width, 3) uint8 RGB from the optical frame's pose (4, 4) in the base frame; tilt is not rendered."""
+        """Return the frame (height, width, 3) uint8 RGB for a camera pose (4, 4) in the base frame; tilt is ignored."""
         planar = np.array([camera[0, 3], camera[1, 3], math.atan2(camera[1, 0], camera[0, 0])])
         square = self._scene.render(planar, camera[2, 3] - self._table_height)
-        # Whole pixels, repeated: cropped and resized to where it came from it is the same picture again.
+        # Repeated whole pixels: cropping and resizing restores the rendered image.
         square = cv2.resize(square, (self._height, self._height), interpolation=cv2.INTER_NEAREST)
         frame = np.full((self._height, self._width, 3), _BORDER, np.uint8)
         left = (self._width - self._height) // 2
@@ -45,12 +45,12 @@ class TableCamera:
         return frame
 
     def intrinsics(self) -> np.ndarray:
-        """(3, 3) camera matrix K of the whole frame, px."""
+        """Return the camera matrix K (3, 3) of the whole frame, px."""
         return intrinsics(self._width, self._height, self._field_of_view)
 
 
 def encode(frame: np.ndarray, encoding: str) -> Tuple[bytes, int]:
-    """RGB (H, W, 3) uint8 -> the data of a sensor_msgs/Image in one of ENCODINGS, and its bytes per row."""
+    """Return data and row length [bytes] of a sensor_msgs/Image in one of ENCODINGS for RGB (H, W, 3) uint8."""
     if encoding == "rgb8":
         data = frame
     elif encoding == "bgr8":
@@ -63,7 +63,7 @@ def encode(frame: np.ndarray, encoding: str) -> Tuple[bytes, int]:
 
 
 def _packed_yuv(frame: np.ndarray, luma_first: bool) -> np.ndarray:
-    """(H, W, 2): Y U Y V (yuyv), or U Y V Y as ROS's yuv422 has it; two pixels share a colour."""
+    """Return (H, W, 2): Y U Y V (yuyv), or U Y V Y (yuv422 in ROS); two pixels share their chroma."""
     yuv = cv2.transform(frame, np.hstack([_YUV, _YUV_OFFSET[:, None]]))
     pairs = (yuv[:, 0::2, 1:].astype(np.uint16) + yuv[:, 1::2, 1:] + 1) // 2
     chroma = np.empty(yuv.shape[:2], np.uint8)

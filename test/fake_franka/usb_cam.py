@@ -1,4 +1,4 @@
-"""usb_cam_node, at the robot's wrist."""
+"""Simulated usb_cam_node at the robot's wrist."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fake_franka.camera import ENCODINGS, TableCamera, encode
 from fake_franka.computer import Computer, Every
 
 FRAME = "camera_optical_frame"
-"""What our launch file has usb_cam call it."""
+"""Frame of the images, as set in launch/franka_hardware.launch."""
 
 
 class FakeUsbCam:
-    """Publishes usb_cam/image_raw, its compressed twin and usb_cam/camera_info."""
+    """Publishes usb_cam/image_raw, usb_cam/image_raw/compressed and usb_cam/camera_info."""
 
     def __init__(self, pose: Callable[[], np.ndarray], config: Config, computer: Computer) -> None:
-        """pose: (4, 4) of the optical frame, now."""
+        """pose: returns the present pose (4, 4) of the optical frame."""
         self._pose = pose
         self._computer = computer
         width, height = rospy.get_param("~image_width", 640), rospy.get_param("~image_height", 360)
@@ -31,7 +31,7 @@ class FakeUsbCam:
             raise ValueError(f"~encoding is {self._encoding}: legal are {', '.join(ENCODINGS)}")
         self._camera = TableCamera(config, rospy.get_param("~world", config.simulation.world), width, height)
         self.is_frozen = False
-        """The same picture again and again, with new stamps."""
+        """Whether to repeat the last image with new stamps."""
         self.is_silent = False
         self._frame: Optional[np.ndarray] = None
         self._images = rospy.Publisher("usb_cam/image_raw", Image, queue_size=1)
@@ -41,7 +41,7 @@ class FakeUsbCam:
         Every(lambda: rate, self.publish)
 
     def publish(self) -> None:
-        """A picture, stamped with the moment at which the camera was where it shows the table from."""
+        """Publish an image, stamped ~latency after the camera was at the pose it shows."""
         if self.is_silent or not self._computer.is_alive:
             return
         stamp, pose = rospy.Time.now(), self._pose()

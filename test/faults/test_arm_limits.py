@@ -1,6 +1,6 @@
-"""Whatever a simulated arm is told, it stays in its workspace and within its limits of speed and acceleration.
+"""The simulated arm respects workspace, speed and acceleration limits for any command.
 
-Judged by where its body truly is after every physics step, not by what the arm says of itself.
+Verified by the true pose of its body after every physics step.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ TOP_SPEED = np.array([0.15, 0.15, 1.5])
 ACCELERATION = np.array([1.2, 1.2, 10.0])
 # rad/s^2: what libfranka's rate limiter lets the joints of a Panda do
 JOINT_ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
-# What a body at full speed strays from its command, as a part of the limits ...
+# Tracking error at full speed as a fraction of the limits ...
 TOLERANCE = 0.02
-# ... and how finely PyBullet tells its poses (single precision), which shows in differences of them.
+# ... and resolution of PyBullet's poses (single precision), which affects their differences.
 RESOLUTION = np.array([6e-8, 6e-8, 3e-7])
 
 
-class Witness:
-    """Writes down the true pose after every physics step of an arm, and the velocities that its joints had in it."""
+class Recorder:
+    """Records the true pose and the joint velocities of every physics step."""
 
     def __init__(self, arm):
         self._body, self._drive = arm._body, arm._body.drive
         self.poses = [self._pose()] * 2  # at rest
         self.joint_velocities = [np.zeros(len(JOINT_ACCELERATION))]
-        self._body.drive = self._drive_and_look
+        self._body.drive = self._drive_and_record
 
-    def _drive_and_look(self, joints, joint_velocities):
+    def _drive_and_record(self, joints, joint_velocities):
         self._drive(joints, joint_velocities)
         self.joint_velocities.append(joint_velocities)
         self.poses.append(self._pose())
@@ -68,13 +68,13 @@ def assert_within(values, limit, unresolved):
 
 
 @contextlib.contextmanager
-def witnessed_arm(config=CONFIG):
-    """An arm, and the witness of all its motion, whose word ends the test."""
+def recorded_arm(config=CONFIG):
+    """Yield an arm and the recorder of its motion; check the limits at the end."""
     arm = SimulatedArm(config)
     try:
-        witness = Witness(arm)
-        yield arm, witness
-        witness.assert_all_limits_kept()
+        recorder = Recorder(arm)
+        yield arm, recorder
+        recorder.assert_all_limits_kept()
     finally:
         arm.close()
 
@@ -109,19 +109,19 @@ def state_of(arm):
     return [*arm.pose, *arm.velocity, arm.time, *arm.joint_positions.values(), *arm.joint_velocities.values()]
 
 
-def tell(arm, command, *arguments):
-    """Give one command; a refused one must leave the arm where and as it was."""
+def send(arm, command, *arguments):
+    """Send one command; if it is rejected, the arm must be unchanged."""
     before = state_of(arm)
     if command == "move":
         velocity, duration, error = arguments
         arguments = velocity, duration, None if error is None else lambda: np.array(error)
-    refusal = None
+    rejection = None
     try:
         getattr(arm, command)(*arguments)
     except CommandError as error:
-        refusal = str(error)
-    if refusal is not None:
-        assert "is refused" in refusal
+        rejection = str(error)
+    if rejection is not None:
+        assert "is refused" in rejection
         np.testing.assert_array_equal(state_of(arm), before)
 
 
@@ -130,36 +130,36 @@ def tell(arm, command, *arguments):
 @example(
     [("move", tuple(TOP_SPEED), 0.5, None), ("go_to", BOX.lower), ("move", tuple(TOP_SPEED), 0.3, None), ("stop",)]
 )
-def test_no_sequence_of_commands_takes_the_arm_over_a_limit(sequence):
-    with witnessed_arm() as (arm, _):
+def test_no_command_sequence_violates_limits(sequence):
+    with recorded_arm() as (arm, _):
         for command in sequence:
-            tell(arm, *command)
+            send(arm, *command)
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_an_arm_that_misses_its_commands_keeps_its_limits_all_the_same(seed):
+def test_noisy_arm_respects_limits(seed):
     generator = np.random.default_rng(seed)
-    with witnessed_arm() as (arm, _):
+    with recorded_arm() as (arm, _):
         for _ in range(50):
             wanted = generator.uniform(-2.0, 2.0, 3) * TOP_SPEED
             arm.move(wanted, generator.uniform(0.005, 0.4), lambda: generator.standard_normal(3) * TOP_SPEED)
 
 
-def test_the_default_limits_leave_the_joints_of_a_panda_room_when_velocities_are_reversed():
+def test_default_limits_leave_joint_acceleration_reserve():
     generator = np.random.default_rng(0)
-    with witnessed_arm() as (arm, witness):
+    with recorded_arm() as (arm, recorder):
         for corner in itertools.product(*zip(BOX.lower, BOX.upper)):
             arm.go_to(corner)
             for _ in range(20):
                 arm.move(generator.choice([-1.0, 1.0], 3) * TOP_SPEED, 0.3)
-        witness.assert_no_joint_near_its_limit()
+        recorder.assert_no_joint_near_its_limit()
 
 
 @pytest.mark.parametrize("rate", [60, 240, 1000])
 @pytest.mark.parametrize("direction", [(1, 1, 1), (1, -1, 1), (-1, 1, -1), (-1, -1, 1)])
-def test_a_move_into_a_corner_at_full_speed_is_stopped_inside_it(rate, direction):
+def test_full_speed_into_corner_stops_inside(rate, direction):
     config = dataclasses.replace(CONFIG, simulation=SimulationConfig(physics_rate=rate))
-    with witnessed_arm(config) as (arm, _):
+    with recorded_arm(config) as (arm, _):
         limited = [arm.move(np.array(direction) * TOP_SPEED, 0.48).limited for _ in range(4)]
         assert limited == [False, False, True, True]
         np.testing.assert_allclose(BOX.normalise(arm.pose), direction, atol=1e-3)
@@ -169,13 +169,13 @@ def test_a_move_into_a_corner_at_full_speed_is_stopped_inside_it(rate, direction
 
 
 @pytest.mark.parametrize("rate", [60, 240])
-def test_going_to_a_corner_while_moving_away_turns_round_and_does_not_overshoot(rate):
+def test_go_to_while_moving_away_does_not_overshoot(rate):
     config = dataclasses.replace(CONFIG, simulation=SimulationConfig(physics_rate=rate))
-    with witnessed_arm(config) as (arm, witness):
+    with recorded_arm(config) as (arm, recorder):
         arm.move((0.15, 0.15, -1.5), 0.3)
         goal = (0.35, -0.12, 1.8)
         result = arm.go_to(goal)
         assert not result.limited
         np.testing.assert_allclose(result.velocity, np.zeros(3), atol=1e-3)
-        beyond = (np.array(witness.poses) - goal) * [-1, -1, 1]
+        beyond = (np.array(recorder.poses) - goal) * [-1, -1, 1]
         assert np.all(beyond <= [1e-5, 1e-5, 1e-4])

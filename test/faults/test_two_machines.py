@@ -1,4 +1,4 @@
-"""Arm and camera on one computer, learning on another; the cable is pulled, and the robot's side started anew."""
+"""Arm and camera on one computer, learning on another: network failure and restart of the robot's side."""
 
 import time
 from contextlib import ExitStack, contextmanager
@@ -20,7 +20,7 @@ PROFILE = ROOT / "test" / "rostest" / "real_time.yaml"
 
 
 class Side:
-    """One computer: its folder, its variables, and what starts a command there."""
+    """One computer: its folder, its environment, and the prefix of its commands."""
 
     def __init__(self, hosts, host, home):
         self.home = home / host
@@ -34,17 +34,17 @@ class Side:
         return started([*self.prefix, *map(str, command)], self.home / "launch.log", self.variables)
 
     def truth(self):
-        """What the stand-in's arm did since this was asked last."""
+        """Return the true motion of the stand-in since the last call."""
         return truth(self.variables, self.prefix)
 
     @property
-    def said(self):
+    def log(self):
         path = self.home / "launch.log"
         return path.read_text() if path.exists() else ""
 
 
 class Run(NamedTuple):
-    """A run of two sides: the cable's hosts, both sides, and the process of the server's."""
+    """A run on two computers and the process of the server's launch."""
 
     hosts: Any
     robot: Side
@@ -52,14 +52,14 @@ class Run(NamedTuple):
     learning: Any
 
     def wait_for(self, condition, what, timeout=120):
-        """Return when a condition holds; what: it tells when it does not."""
+        """Wait for a condition; what: message of the failure."""
         ends_at = time.monotonic() + timeout
         while not condition():
-            assert time.monotonic() < ends_at, f"{what}\n{self.robot.said}\n{self.server.said}"
+            assert time.monotonic() < ends_at, f"{what}\n{self.robot.log}\n{self.server.log}"
             time.sleep(0.1)
 
     def arm(self, **arguments):
-        """The robot's side, while the block lasts."""
+        """Run the robot's side during the block."""
         return self.robot.launched("robot.launch", bringup="nodes", profile=PROFILE, **arguments)
 
     @property
@@ -68,8 +68,8 @@ class Run(NamedTuple):
         return len(table.read_text().splitlines()) - 1 if table.exists() else 0
 
     def check_whole(self):
-        """All steps were made, and each once."""
-        assert "finished" in self.server.said, self.server.said
+        """Check that each step was made exactly once."""
+        assert "finished" in self.server.log, self.server.log
         session = Session.open_read_only(self.server.home / "run")
         assert session.read_table("exploration")["step"].tolist() == list(range(1, STEPS + 1))
         with session.open_observations() as store:
@@ -78,7 +78,7 @@ class Run(NamedTuple):
 
 @contextmanager
 def begun(home):
-    """A run that waits for its arm, on a master that is older than both sides."""
+    """Start a run that waits for its arm, on a master that was started before."""
     with two_hosts() as hosts, ExitStack() as running:
         robot, server = (Side(hosts, host, home) for host in (ROBOT, SERVER))
         running.enter_context(started([*robot.prefix, "roscore"], robot.home / "core.log", robot.variables))
@@ -89,12 +89,12 @@ def begun(home):
 
 
 @pytest.mark.skipif(bool(REASON), reason=REASON)
-def test_the_arm_stops_when_the_cable_is_pulled_and_the_run_goes_on_when_it_is_back(tmp_path):
+def test_arm_stops_without_network_and_run_resumes(tmp_path):
     with begun(tmp_path) as run, run.arm():
         robot = run.robot
-        run.wait_for(lambda: run.stored >= 10, "it did not begin")
+        run.wait_for(lambda: run.stored >= 10, "the run did not start")
         run.hosts.pull_cable()
-        run.wait_for(lambda: "the arm is stopped and free for other nodes" in robot.said, "it was not freed")
+        run.wait_for(lambda: "the arm is stopped and free for other nodes" in robot.log, "the arm was not freed")
         assert robot.truth()["speed"] < 0.001
         before = run.stored
         time.sleep(1.0)
@@ -102,29 +102,30 @@ def test_the_arm_stops_when_the_cable_is_pulled_and_the_run_goes_on_when_it_is_b
         assert robot.truth()["travelled"] < 0.001
         run.hosts.plug_cable()
         run.learning.wait(180)
-        told = robot.truth()
-    assert "waiting for a response of /arm/" in run.server.said
-    assert told["max_outside"] < 0.003
+        truth = robot.truth()
+    assert "waiting for a response of /arm/" in run.server.log
+    assert truth["max_outside"] < 0.003
     run.check_whole()
 
 
 @pytest.mark.skipif(bool(REASON), reason=REASON)
-def test_the_robots_side_may_be_started_anew_and_an_arm_with_other_limits_takes_no_command(tmp_path):
+def test_restarted_arm_rejects_commands_on_config_mismatch(tmp_path):
     lab = yaml.safe_load((ROOT / "config" / "franka.yaml").read_text())
     other = tmp_path / "other.yaml"
     other.write_text(yaml.safe_dump({**lab, "workspace": {**lab["workspace"], "x": [0.35, 0.6]}}))
     with begun(tmp_path) as run:
         with run.arm():
-            run.wait_for(lambda: run.stored >= 10, "it did not begin")
+            run.wait_for(lambda: run.stored >= 10, "the run did not start")
         with run.arm(robot_profile=other):
             run.wait_for(
-                lambda: "refusing commands: configuration mismatch: workspace/x" in run.robot.said, "it was let"
+                lambda: "refusing commands: configuration mismatch: workspace/x" in run.robot.log,
+                "commands were accepted",
             )
             before = run.stored
             run.robot.truth()
             run.wait_for(
-                lambda: "arm held still: configuration mismatch: workspace/x" in run.server.said,
-                "nobody tried to drive it",
+                lambda: "arm held still: configuration mismatch: workspace/x" in run.server.log,
+                "no command was sent",
             )
             assert run.stored == before, "something was stored with the wrong arm"
             assert run.robot.truth()["travelled"] < 0.001

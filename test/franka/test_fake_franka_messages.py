@@ -1,4 +1,4 @@
-"""Our description of franka_ros' messages: nodes made with it and with the originals understand each other."""
+"""Generated messages of franka_ros have the checksums of the originals."""
 
 import importlib
 import re
@@ -36,7 +36,7 @@ ORIGINALS = {
 
 @pytest.fixture(scope="module")
 def generated(tmp_path_factory):
-    """The folder of the modules, and the packages in it: those that are not installed."""
+    """Yield the folder of the modules and the generated packages."""
     folder = tmp_path_factory.mktemp("messages")
     return folder, generate(folder)
 
@@ -52,11 +52,11 @@ def checksum(generated, name):
 
 
 @pytest.mark.parametrize("name", sorted(ORIGINALS))
-def test_a_description_has_the_checksum_of_the_original(generated, name):
+def test_checksum_of_the_original(generated, name):
     assert checksum(generated, name) == ORIGINALS[name]
 
 
-def test_modules_that_are_there_are_not_made_again_and_outdated_ones_are(generated):
+def test_only_outdated_modules_are_generated(generated):
     folder, packages = generated
     for package in packages:
         stamp = folder / package / ".version"

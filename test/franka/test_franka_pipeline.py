@@ -1,4 +1,4 @@
-"""Learning on a real Panda: learn.launch robot:=franka, against a stand-in for franka_ros, in real time."""
+"""learn.launch robot:=franka against the stand-in for franka_ros, in real time."""
 
 import time
 from itertools import combinations
@@ -24,7 +24,7 @@ def wait_for(condition, log, timeout=90):
         time.sleep(0.1)
 
 
-def test_a_run_on_the_stand_in_ends_with_all_its_observations_although_the_camera_froze_meanwhile(tmp_path):
+def test_run_completes_after_camera_froze(tmp_path):
     variables = with_franka_messages(environment(tmp_path))
     arguments = {
         "robot": "franka",
@@ -46,7 +46,7 @@ def test_a_run_on_the_stand_in_ends_with_all_its_observations_although_the_camer
         wait_for(lambda: "arm held still" in log.read_text(), log)
         call(variables, "/fake_franka/freeze_camera", "{data: false}")
         process.wait(180)
-        told = truth(variables)
+        motion = truth(variables)
     said = log.read_text()
     assert "finished" in said, said
     assert "did not end by itself" not in said
@@ -54,20 +54,20 @@ def test_a_run_on_the_stand_in_ends_with_all_its_observations_although_the_camer
     session = Session.open_read_only(path)
     assert session.config.arm.robot == "franka"
     limits = session.config.arm
-    assert told["reflexes"] == 0
-    assert told["max_outside"] < 0.003, "m; an impedance controller overshoots by a little"
-    assert told["max_speed"] < 1.2 * np.hypot(limits.max_speed, limits.max_speed), "along x and y at once"
+    assert motion["reflexes"] == 0
+    assert motion["max_outside"] < 0.003, "m; an impedance controller overshoots slightly"
+    assert motion["max_speed"] < 1.2 * np.hypot(limits.max_speed, limits.max_speed), "along x and y at once"
     assert session.read_table("exploration")["step"].tolist() == list(range(1, STEPS + 1))
     with session.open_observations() as store:
         seen = store.snapshot()
     assert len(seen.images) == STEPS
     recorded = list(Recording(path / "bags").observations(session.config))
     assert [item.image.data for item in recorded] == [image.tobytes() for image in seen.images]
-    assert not list(_repeated(seen.images, seen.raw_states)), "something was stored of a frozen camera"
+    assert not list(_repeated(seen.images, seen.raw_states)), "a frozen image was stored"
 
 
 def _repeated(images, states):
-    """Pairs of observations with the same image, taken from different places."""
+    """Yield pairs of observations with the same image from different poses."""
     for (one, image), (other, again) in combinations(enumerate(images), 2):
         moved = np.abs(states[one] - states[other])
         if np.array_equal(image, again) and (moved > [2e-3, 2e-3, 2e-2]).any():

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The stand-in for franka_ros as a node: a client of franka_ros finds what it knows, and gets the answers it knows."""
+"""The stand-in for franka_ros as a node: topics, services and actions as a client of franka_ros expects them."""
 
 import json
 import sys
@@ -72,7 +72,7 @@ class FakeFrankaTest(unittest.TestCase):
         self.truth()
 
     def until(self, condition, what):
-        """The next state that fulfils a condition."""
+        """Return the next state that fulfils a condition."""
         with self.changed:
             self.states.clear()
             found = self.changed.wait_for(lambda: self.states and condition(self.states[-1]), TIMEOUT)
@@ -93,7 +93,7 @@ class FakeFrankaTest(unittest.TestCase):
         return self.until_mode(FrankaState.ROBOT_MODE_MOVE)
 
     def send(self, state, shift):
-        """A set-point that is shifted along y from where a state has the hand."""
+        """Send a set-point shifted along y from the hand's pose in a state."""
         message = PoseStamped()
         message.pose.position.x, message.pose.position.y, message.pose.position.z = state.O_T_EE[12:15]
         message.pose.position.y += shift
@@ -108,7 +108,7 @@ class FakeFrankaTest(unittest.TestCase):
     def set_fault(self, name, on):
         self.assertTrue(self.service(f"fake_franka/{name}", SetBool)(on).success)
 
-    def test_the_state_controller_publishes_what_it_publishes_on_a_robot(self):
+    def test_state_controller_publishes_all_topics(self):
         state = self.until_mode(FrankaState.ROBOT_MODE_IDLE)
         self.assertEqual(list(state.F_T_EE), IDENTITY)
         self.assertAlmostEqual(state.O_T_EE[12], 0.475, places=6)
@@ -122,7 +122,7 @@ class FakeFrankaTest(unittest.TestCase):
         listener.unregister()
         self.assertAlmostEqual(found.transform.translation.z, state.O_T_EE[14], places=5)
 
-    def test_a_loaded_controller_drives_the_arm_to_the_set_point_once_it_is_started(self):
+    def test_started_controller_moves_arm_to_set_point(self):
         at = self.until_mode(FrankaState.ROBOT_MODE_IDLE)
         self.send(at, 0.05)
         self.drive()
@@ -135,7 +135,7 @@ class FakeFrankaTest(unittest.TestCase):
         self.until(lambda state: abs(state.O_T_EE[13] - at.O_T_EE[13] - 0.02) < 1e-3, "the hand at its set-point")
         self.assertGreater(self.truth()["max_speed"], 0.01)
 
-    def test_load_and_frames_are_set_with_no_controller_running_only(self):
+    def test_setters_need_stopped_controllers(self):
         set_load, set_frame = self.service("franka_control/set_load", SetLoad), "franka_control/set_EE_frame"
         self.assertTrue(set_load(0.2, [0.0] * 3, [0.0] * 9).success)
         self.until(lambda state: state.m_load == 0.2, "the load")
@@ -153,7 +153,7 @@ class FakeFrankaTest(unittest.TestCase):
         limits = [[20.0] * 7] * 4 + [[30.0] * 6] * 4
         self.assertTrue(self.service("franka_control/set_full_collision_behavior", SetFullCollisionBehavior)(*limits))
 
-    def test_a_reflex_stops_the_arm_until_a_recovery_succeeds(self):
+    def test_reflex_stops_arm_until_recovery(self):
         at = self.drive()
         self.send(at, 0.3)
         self.assertTrue(self.until_mode(FrankaState.ROBOT_MODE_REFLEX).current_errors.cartesian_reflex)
@@ -166,7 +166,7 @@ class FakeFrankaTest(unittest.TestCase):
         self.assertFalse(state.current_errors.cartesian_reflex)
         self.assertTrue(state.last_motion_errors.cartesian_reflex)
 
-    def test_the_user_stop_holds_the_arm_and_refuses_recovery(self):
+    def test_user_stop_holds_arm_and_rejects_recovery(self):
         self.drive()
         self.set_fault("user_stop", True)
         self.until_mode(FrankaState.ROBOT_MODE_USER_STOPPED)
@@ -176,7 +176,7 @@ class FakeFrankaTest(unittest.TestCase):
         self.assertEqual(self.recover()[0], GoalStatus.SUCCEEDED)
         self.until_mode(FrankaState.ROBOT_MODE_MOVE)
 
-    def test_a_dead_computer_neither_publishes_nor_answers_and_the_robot_stops(self):
+    def test_silent_computer_stops_robot(self):
         self.drive()
         self.set_fault("silence_everything", True)
         with self.changed:
@@ -199,12 +199,12 @@ class FakeFrankaTest(unittest.TestCase):
         name = f"{IMPEDANCE}/dynamic_reconfigure_compliance_param_node/set_parameters"
         request = Config(doubles=[DoubleParameter("translational_stiffness", 1000.0)])
         told = {one.name: one.value for one in self.service(name, Reconfigure)(request).config.doubles}
-        self.assertEqual(told["translational_stiffness"], 400.0)  # the largest there is
+        self.assertEqual(told["translational_stiffness"], 400.0)  # the maximum
         self.assertEqual(told["rotational_stiffness"], 10.0)
         request.doubles[0].value = 200.0
         self.service(name, Reconfigure)(request)
 
-    def test_a_frozen_camera_shows_the_same_with_new_stamps(self):
+    def test_frozen_camera_repeats_image_with_new_stamps(self):
         image = rospy.wait_for_message("usb_cam/image_raw", Image, TIMEOUT)
         self.assertEqual((image.width, image.height, image.encoding, image.step), (640, 360, "yuv422", 1280))
         self.assertLess(abs(image.header.stamp.to_sec() - time.time()), TIMEOUT)

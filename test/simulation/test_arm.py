@@ -1,4 +1,4 @@
-"""The simulated arm goes where it is told, as fast as it may, and nowhere else."""
+"""The simulated arm executes commands within its limits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BOX = CONFIG.workspace.box()
 FULL_SPEED = np.array([0.15, 0.15, 1.5])
 ACCELERATION = np.array([1.2, 1.2, 10.0])
 
-# Velocities held for 0.2 s one after the other, and the states that they lead to at the default limits.
+# Consecutive velocities, each held for 0.2 s, and the resulting states at the default limits.
 RECORDED = [
     ((0.1, 0.05, 0.5), (0.491042107, 0.009058096, 0.088501706)),
     ((-0.15, 0.15, -1.5), (0.486529678, 0.035101559, -0.015661736)),
@@ -43,7 +43,7 @@ def arm():
 
 
 def assert_upright(arm):
-    """Height and tilt held, joints legal."""
+    """Height and tilt are held, joints are legal."""
     assert abs(arm.camera_height - 0.3) < 1e-3
     assert arm.tilt < 0.005
     joints = np.array([arm.joint_positions[name] for name in ARM_JOINTS])
@@ -51,7 +51,7 @@ def assert_upright(arm):
     assert np.all(joints <= JOINT_LIMITS[:, 1])
 
 
-def test_the_arm_starts_at_the_configured_pose_at_rest(arm):
+def test_arm_starts_at_rest_at_configured_pose(arm):
     np.testing.assert_allclose(arm.pose, CONFIG.simulation.start, atol=1e-5)
     np.testing.assert_array_equal(arm.velocity, np.zeros(3))
     assert arm.time == 0.0
@@ -59,7 +59,7 @@ def test_the_arm_starts_at_the_configured_pose_at_rest(arm):
 
 
 @pytest.mark.parametrize("velocity", [(0.1, 0, 0), (0, -0.1, 0), (0, 0, 1.2), (0.06, -0.07, 0.9), tuple(FULL_SPEED)])
-def test_a_commanded_velocity_is_tracked_to_within_half_a_percent(arm, velocity):
+def test_velocity_is_tracked_within_half_a_percent(arm, velocity):
     arm.move(velocity, 0.2)
     before = arm.pose
     result = arm.move(velocity, 0.2)
@@ -70,13 +70,13 @@ def test_a_commanded_velocity_is_tracked_to_within_half_a_percent(arm, velocity)
     assert_upright(arm)
 
 
-def test_a_move_ends_where_it_has_always_ended(arm):
+def test_moves_reproduce_recorded_states(arm):
     # PyBullet keeps frames in single precision: another processor's last digit may show in the eighth decimal here.
     for velocity, state in RECORDED:
         np.testing.assert_allclose(arm.move(velocity, 0.2).state, state, rtol=0.0, atol=1e-6)
 
 
-def test_joint_velocities_are_those_of_the_joint_positions(arm):
+def test_joint_velocities_match_positions(arm):
     arm.move((0.1, 0.05, 0.5), 0.2)
     before, velocity = arm.joint_positions, arm.joint_velocities
     assert set(before) == set(ARM_JOINTS)
@@ -87,7 +87,7 @@ def test_joint_velocities_are_those_of_the_joint_positions(arm):
 
 @given(commands=commands)
 @settings(max_examples=30, deadline=None)
-def test_no_command_leaves_the_workspace_or_tilts_the_camera(commands):
+def test_moves_stay_in_workspace_and_upright(commands):
     arm = SimulatedArm(CONFIG)
     for velocity, duration in commands:
         arm.move(velocity, duration)
@@ -97,7 +97,7 @@ def test_no_command_leaves_the_workspace_or_tilts_the_camera(commands):
     arm.close()
 
 
-def test_every_corner_of_the_workspace_is_reached_upright_and_at_rest(arm):
+def test_go_to_reaches_all_corners(arm):
     for corner in itertools.product(*zip(BOX.lower, BOX.upper)):
         result = arm.go_to(corner)
         np.testing.assert_allclose(result.state[:2], corner[:2], atol=2e-4)
@@ -107,7 +107,7 @@ def test_every_corner_of_the_workspace_is_reached_upright_and_at_rest(arm):
         assert_upright(arm)
 
 
-def test_going_somewhere_keeps_the_speed_limits(arm):
+def test_go_to_respects_speed_limits(arm):
     start = arm.pose
     result = arm.go_to((0.6, 0.1, 1.5))
     assert not result.limited
@@ -115,7 +115,7 @@ def test_going_somewhere_keeps_the_speed_limits(arm):
     assert arm.time <= 0.5 + np.max(np.abs(result.state - start) / FULL_SPEED)
 
 
-def test_a_command_above_the_speed_limits_is_slowed_in_its_own_direction(arm):
+def test_too_fast_move_keeps_direction(arm):
     arm.move((0.6, 0.3, 0.0), 0.2)
     before = arm.pose
     result = arm.move((0.6, 0.3, 0.0), 0.2)
@@ -141,7 +141,7 @@ def test_a_command_above_the_speed_limits_is_slowed_in_its_own_direction(arm):
         ((10**400, 0, 0), 0.2),
     ],
 )
-def test_a_senseless_command_is_refused_and_the_arm_unchanged(arm, velocity, duration):
+def test_invalid_move_is_rejected(arm, velocity, duration):
     arm.move((0.05, 0.0, 0.3), 0.1)
     pose, speed, time = arm.pose, arm.velocity, arm.time
     with pytest.raises(CommandError, match="is refused"):
@@ -152,7 +152,7 @@ def test_a_senseless_command_is_refused_and_the_arm_unchanged(arm, velocity, dur
 
 
 @pytest.mark.parametrize("pose", [(0.7, 0, 0), (0.475, 0, 2.1), (math.nan, 0, 0), (0.475, 0)])
-def test_a_pose_outside_the_workspace_is_refused_and_the_arm_unchanged(arm, pose):
+def test_invalid_pose_is_rejected(arm, pose):
     before = arm.pose
     with pytest.raises(CommandError, match="is refused"):
         arm.go_to(pose)
@@ -160,7 +160,7 @@ def test_a_pose_outside_the_workspace_is_refused_and_the_arm_unchanged(arm, pose
     assert arm.time == 0.0
 
 
-def test_stopping_takes_as_long_as_the_acceleration_limit_makes_it(arm):
+def test_stop_brakes_at_acceleration_limit(arm):
     arm.move(FULL_SPEED, 0.3)
     before = arm.time
     result = arm.stop()
@@ -168,7 +168,7 @@ def test_stopping_takes_as_long_as_the_acceleration_limit_makes_it(arm):
     assert arm.time - before == pytest.approx(np.max(FULL_SPEED / ACCELERATION), abs=0.01)
 
 
-def test_a_velocity_that_takes_time_to_reach_is_limited_only_where_it_is_not_reached(arm):
+def test_limited_only_if_velocity_is_not_reached(arm):
     needed = FULL_SPEED[0] / ACCELERATION[0]
     assert arm.move((FULL_SPEED[0], 0.0, 0.0), 0.8 * needed).limited
     assert not arm.move((FULL_SPEED[0], 0.0, 0.0), 0.4 * needed).limited
@@ -176,20 +176,20 @@ def test_a_velocity_that_takes_time_to_reach_is_limited_only_where_it_is_not_rea
     assert not arm.move((-FULL_SPEED[0], 0.0, 0.0), 0.4 * needed).limited
 
 
-def test_a_move_goes_on_from_the_velocity_of_the_one_before(arm):
+def test_moves_join_without_a_stop(arm):
     arm.move((0.1, 0.0, 0.0), 0.2)
     before = arm.pose
     np.testing.assert_allclose(arm.move((0.1, 0.0, 0.0), 1 / 240).state[0] - before[0], 0.1 / 240, rtol=0.01)
 
 
-def test_standing_at_the_border_limits_nothing(arm):
+def test_no_limit_at_rest_on_border(arm):
     arm.go_to(BOX.upper)
     assert not arm.move((0.0, 0.0, 0.0), 0.2).limited
     assert not arm.move((-0.05, 0.0, 0.0), 0.2).limited
     assert not arm.go_to((BOX.lower[0], BOX.upper[1], 0.0)).limited
 
 
-def test_time_counts_physics_steps_exactly(arm):
+def test_time_counts_physics_steps(arm):
     for _ in range(30):
         arm.move((0.0, 0.0, 0.1), 0.1)
     assert arm.time == 720 / 240
@@ -197,7 +197,7 @@ def test_time_counts_physics_steps_exactly(arm):
     assert arm.time == 721 / 240
 
 
-def test_an_arm_told_to_stand_still_stays_where_it_is(arm):
+def test_zero_velocity_holds_pose(arm):
     arm.go_to((0.35, 0.12, -1.5))
     before = arm.pose
     for _ in range(5):
@@ -206,7 +206,7 @@ def test_an_arm_told_to_stand_still_stays_where_it_is(arm):
     assert_upright(arm)
 
 
-def test_two_arms_in_one_process_do_not_touch_each_other(arm):
+def test_two_arms_are_independent(arm):
     other = SimulatedArm(CONFIG)
     other.move((0.1, 0, 0), 0.5)
     np.testing.assert_allclose(arm.pose, CONFIG.simulation.start, atol=1e-5)
@@ -225,12 +225,12 @@ def test_two_arms_in_one_process_do_not_touch_each_other(arm):
         dataclasses.replace(CONFIG, camera=CameraConfig(distance=1.8)),
     ],
 )
-def test_a_workspace_out_of_the_pandas_reach_is_refused_before_anything_moves(config):
+def test_unreachable_workspace_is_rejected(config):
     with pytest.raises(ConfigError, match="the Panda cannot hold its camera at"):
         SimulatedArm(config)
 
 
-def test_joint_speeds_stay_legal_however_fast_the_arm_may_be():
+def test_joint_speed_limits_take_precedence():
     limits = ArmConfig(max_speed=1.0, max_turn_rate=2.6, max_acceleration=13.0, max_turn_acceleration=25.0)
     arm = SimulatedArm(dataclasses.replace(CONFIG, arm=limits))
     arm.go_to((0.475, 0.15, -1.0))

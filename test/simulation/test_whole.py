@@ -1,4 +1,4 @@
-"""Arm, camera and disturbances together: one seed, one result."""
+"""Arm, camera and disturbances together: one seed gives one result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def with_seed(seed):
 
 
 def run(world, config):
-    """Poses and images along the route."""
+    """Return poses and images along the route."""
     with Simulation(world, config) as simulation:
         steps = [(simulation.move(velocity, 0.2).state, simulation.image()) for velocity in ROUTE]
     return np.array([step[0] for step in steps]), np.array([step[1] for step in steps])
@@ -36,14 +36,14 @@ def test_one_seed_gives_one_result(world):
         np.testing.assert_array_equal(first, second)
 
 
-def test_another_seed_gives_other_noise_but_the_same_clean_simulation():
+def test_seed_changes_noise_only():
     for first, second in zip(run(WORLD, with_seed(1)), run(WORLD, with_seed(2))):
         np.testing.assert_array_equal(first, second)
     for first, second in zip(run(NOISY, with_seed(1)), run(NOISY, with_seed(2))):
         assert np.any(first != second)
 
 
-def test_the_image_shows_what_lies_under_the_arm():
+def test_image_shows_object_below_arm():
     with Simulation(WORLD, CONFIG) as simulation:
         duck = simulation.objects[0]
         simulation.go_to((*duck.centre, 0.0))
@@ -52,7 +52,7 @@ def test_the_image_shows_what_lies_under_the_arm():
     assert blue < 60
 
 
-def test_image_noise_has_the_strength_asked_for():
+def test_image_noise_has_configured_strength():
     with Simulation(dataclasses.replace(WORLD, disturbances=Disturbances(image_noise=5.0)), CONFIG) as simulation:
         noisy = simulation.image().astype(float)
     with Simulation(WORLD, CONFIG) as simulation:
@@ -60,7 +60,7 @@ def test_image_noise_has_the_strength_asked_for():
     assert np.std(noisy - clean) == pytest.approx(5.0, rel=0.05)
 
 
-def test_brightness_drifts_slowly_and_around_what_it_should_be():
+def test_brightness_drifts_slowly_around_nominal():
     world = dataclasses.replace(WORLD, disturbances=Disturbances(brightness_drift=0.1))
     clean = run(WORLD, CONFIG)[1].mean()
     levels = []
@@ -75,13 +75,13 @@ def test_brightness_drifts_slowly_and_around_what_it_should_be():
     assert 0.03 < np.std(levels) < 0.2
 
 
-def test_a_disturbed_arm_misses_its_command_but_stays_within_its_limits():
+def test_actuation_noise_stays_within_limits():
     box = CONFIG.workspace.box()
     world = dataclasses.replace(WORLD, disturbances=Disturbances(actuation_noise=(0.05, 0.05, 0.5)))
     with Simulation(world, CONFIG) as simulation:
         speeds = []
         for _ in range(100):
-            simulation.go_to(CONFIG.simulation.start)  # far from the border, which is no matter of noise
+            simulation.go_to(CONFIG.simulation.start)  # far from the border
             speeds.append(simulation.move((0.05, 0.0, 0.0), 0.2).velocity)
         for _ in range(20):
             assert box.contains(simulation.move((0.15, 0.15, 1.5), 0.3).state)
@@ -91,7 +91,7 @@ def test_a_disturbed_arm_misses_its_command_but_stays_within_its_limits():
     np.testing.assert_allclose(np.std(speeds, axis=0), [0.05, 0.05, 0.5], rtol=0.35)
 
 
-def test_a_refused_command_leaves_simulation_and_noise_as_they_were():
+def test_rejected_command_changes_nothing():
     with Simulation(NOISY, CONFIG) as simulation:
         with pytest.raises(CommandError):
             simulation.move((np.nan, 0.0, 0.0), 0.2)
@@ -100,7 +100,7 @@ def test_a_refused_command_leaves_simulation_and_noise_as_they_were():
         np.testing.assert_array_equal(simulation.move(ROUTE[0], 0.2).state, after_refusal)
 
 
-def test_time_passes_only_while_the_arm_is_told_to_move():
+def test_time_advances_only_with_commands():
     with Simulation(WORLD, CONFIG) as simulation:
         assert simulation.time == 0.0
         simulation.move((0.05, 0.0, 0.0), 0.2)
@@ -111,7 +111,7 @@ def test_time_passes_only_while_the_arm_is_told_to_move():
         assert len(simulation.joint_positions) == len(simulation.joint_velocities) == 7
 
 
-def test_closing_frees_both_clients_and_may_be_done_twice():
+def test_close_frees_clients_and_is_idempotent():
     clients = [pybullet.isConnected(number) for number in range(64)]
     with Simulation(WORLD, CONFIG) as simulation:
         pass
@@ -119,7 +119,7 @@ def test_closing_frees_both_clients_and_may_be_done_twice():
     assert [pybullet.isConnected(number) for number in range(64)] == clients
 
 
-def test_a_simulation_that_cannot_start_leaves_no_client_behind():
+def test_failed_start_frees_clients():
     clients = [pybullet.isConnected(number) for number in range(64)]
     with pytest.raises(ConfigError, match="the Panda cannot hold"):
         Simulation(WORLD, dataclasses.replace(CONFIG, workspace=WorkspaceConfig(x=(0.325, 1.5))))

@@ -1,4 +1,4 @@
-"""The pipeline in real time, on the stand-in for franka_ros."""
+"""Helpers for real-time tests on the stand-in for franka_ros."""
 
 import json
 import os
@@ -13,24 +13,24 @@ FAKE = ROOT / "test" / "fake_franka" / "fake_franka.launch"
 
 
 def with_franka_messages(variables):
-    """An environment in which franka_msgs can be imported, installed or generated."""
+    """Return an environment in which franka_msgs can be imported, installed or generated."""
     generate(DEFAULT_FOLDER)
     return {**variables, "PYTHONPATH": f"{variables.get('PYTHONPATH', '')}{os.pathsep}{DEFAULT_FOLDER}"}
 
 
 def stand_in(home, variables, *arguments, prefix=()):
-    """The stand-in, started by its launch file once there is a master; its output in home/robot.log."""
+    """Start the stand-in's launch file once a master is available; its output goes to home/robot.log."""
     command = [*prefix, "roslaunch", "--wait", "--sigint-timeout=10", FAKE, *arguments]
     return started(list(map(str, command)), home / "robot.log", variables)
 
 
 def call(variables, service, request="{}", prefix=()):
-    """Call a service as a person does -> what it answers."""
+    """Call a service with rosservice -> its output."""
     command = [*prefix, "rosservice", "call", "--wait", service, request]
     return subprocess.run(command, env=variables, check=True, capture_output=True, text=True, timeout=60).stdout
 
 
 def truth(variables, prefix=()):
-    """What the stand-in's arm did since this was asked last."""
-    answer = yaml.safe_load(call(variables, "/fake_franka/truth", prefix=prefix))
-    return json.loads(answer["message"])
+    """Return the true motion of the stand-in since the last call."""
+    response = yaml.safe_load(call(variables, "/fake_franka/truth", prefix=prefix))
+    return json.loads(response["message"])

@@ -1,4 +1,4 @@
-"""Two computers and the cable between them: network namespaces of this one, joined by a switch."""
+"""Two computers and their network: namespaces of this one, connected by a bridge."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ ADDRESSES = {ROBOT: "10.77.0.1", SERVER: "10.77.0.2"}
 
 
 class TwoHosts:
-    """Where processes run as if on two computers. Several tests may do so at once."""
+    """Runs processes as if on two computers. Several tests may do so at the same time."""
 
     def __init__(self):
         self._switch = f"eal-switch-{os.getpid()}"
@@ -19,7 +19,7 @@ class TwoHosts:
         return f"eal-{host}-{os.getpid()}"
 
     def command(self, host, *words):
-        """What runs a command on a host."""
+        """Return the command line that runs a command on a host."""
         return ["ip", "netns", "exec", self.namespace(host), *map(str, words)]
 
     def environment(self, host, home):
@@ -34,7 +34,7 @@ class TwoHosts:
         }
 
     def pull_cable(self):
-        """Between the server and the switch: both see that, or see nothing, as with real ones."""
+        """Disconnect the server from the switch."""
         self._ip("-n", self._switch, "link", "set", SERVER, "down")
 
     def plug_cable(self):
@@ -62,14 +62,14 @@ class TwoHosts:
 
 
 def why_not():
-    """Why namespaces cannot be made here; empty when they can."""
+    """Return why namespaces cannot be created here; empty if they can."""
     if shutil.which("ip") is None:
-        return "there is no ip (iproute2)"
+        return "ip (iproute2) is not installed"
     hosts = TwoHosts()
     try:
         hosts.make()
     except subprocess.CalledProcessError as error:
-        return f"network namespaces cannot be made here: {error.stderr.decode().strip()}"
+        return f"network namespaces cannot be created: {error.stderr.decode().strip()}"
     finally:
         hosts.remove()
     return ""
@@ -77,7 +77,7 @@ def why_not():
 
 @contextmanager
 def two_hosts():
-    """Two hosts and a cable, for as long as the block lasts."""
+    """Yield two connected hosts."""
     hosts = TwoHosts()
     try:
         hosts.make()

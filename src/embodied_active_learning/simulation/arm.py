@@ -1,4 +1,4 @@
-"""The simulated arm: planar velocities within limits, whoever commands them."""
+"""The simulated arm: executes planar velocities within its limits."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from embodied_active_learning.simulation import servo
 from embodied_active_learning.simulation.panda_body import PandaBody, StateDict
 from embodied_active_learning.workspace import STATE_NAMES
 
-# The arm turns back this far inside the workspace (normalised), so that what little a physics step strays from its
-# command never shows outside.
+# The arm turns back this far inside the workspace (normalised), so that small tracking errors of a physics step do
+# not leave it.
 _MARGIN = 3e-4
 _ARRIVED = np.array([5e-5, 5e-5, 5e-4])  # m, m, rad
 _AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
@@ -29,12 +29,12 @@ _REST = [0.0, 0.0, 0.0]
 _LATEST = 2.0**31  # s: the end of ROS time
 # What physics adds to legal joint positions [rad] and speeds (factor) within a step.
 _JOINT_SLACK, _JOINT_SPEED_SLACK = 1e-3, 1.01
-_REACH_GRID = (5, 5, 3)  # poses tried along x, y and theta: odd, so that the middle is among them
+_REACH_GRID = (5, 5, 3)  # poses tested along x, y and theta; odd, to include the middle
 
 
 @dataclass(frozen=True)
 class MoveResult:
-    """Where a motion ended: state (3,) m, m, rad; velocity (3,) m/s, m/s, rad/s; whether a limit changed it."""
+    """End of a motion: state (3,) m, m, rad; velocity (3,) m/s, m/s, rad/s; whether a limit changed it."""
 
     state: np.ndarray
     velocity: np.ndarray
@@ -42,15 +42,15 @@ class MoveResult:
 
 
 class SimulatedArm:
-    """A Panda that carries its camera over the table at one height, looking straight down."""
+    """A Panda that moves its camera over the table at constant height, looking straight down."""
 
     def __init__(self, config: Config) -> None:
-        """Stand at simulation/start. Raises ConfigError when the arm cannot reach all of the workspace."""
+        """Start at simulation/start. Raises ConfigError if the arm cannot reach all of the workspace."""
         self._workspace = config.workspace.box()
         self._height = config.camera.distance
         self._max_duration = config.arm.max_duration
         self._limits = MotionLimits.from_config(config, _MARGIN)
-        # What the acceleration limit is kept against. With the joints' positions, all that the next step depends on.
+        # The velocity that the acceleration limit refers to.
         self._commanded = [0.0] * len(STATE_NAMES)
         self._body = PandaBody(config.simulation.physics_rate)
         try:
@@ -62,7 +62,7 @@ class SimulatedArm:
         self._sense()
 
     def close(self) -> None:
-        """Free the physics client; the arm is of no use afterwards."""
+        """Free the physics client; the arm cannot be used afterwards."""
         self._body.close()
 
     @property
@@ -146,12 +146,16 @@ class SimulatedArm:
     ) -> MoveResult:
         """Hold a planar velocity (3,) m/s, m/s, rad/s for a duration, s, as far as limits allow.
 
-        The arm keeps the velocity that it ends with: the next move goes on from it. Limited is a velocity that speed
-        limits, workspace or joints cut, or that the acceleration limit kept the arm from reaching at all; one that it
-        merely took some time to reach is not.
+        The arm keeps its final velocity, so that consecutive moves join. A move counts as limited if speed, workspace
+        or joint limits reduced the velocity, or if it was not reached; the time to reach it does not count.
 
-        The error, drawn once the command is accepted, is what an imperfect arm adds to the legal velocity (3,). Raises
-        CommandError, with the arm where and as it was, for what no arm should be told.
+        Args:
+            velocity: Requested velocity.
+            duration: Simulated time, s.
+            error: Returns the velocity (3,) that an imperfect arm adds; called once the command is accepted.
+
+        Raises:
+            CommandError: The request is invalid; the arm is unchanged.
         """
         wanted = checked_velocity(velocity)
         steps = max(1, round(checked_duration(duration, self._max_duration) / self._body.period))
@@ -165,7 +169,7 @@ class SimulatedArm:
     def go_to(self, pose: Sequence[float]) -> MoveResult:
         """Go straight to a planar pose (3,) m, m, rad within the limits and stop there, without overshooting.
 
-        Raises CommandError for a pose outside the workspace, ArmFailedError when the arm does not get there in time.
+        Raises CommandError for a pose outside the workspace, ArmFailedError if the arm does not arrive in time.
         """
         target = checked_pose(pose, self._workspace)
         target = np.clip(target, self._limits.lower, self._limits.upper)
@@ -178,7 +182,7 @@ class SimulatedArm:
             if self.time > deadline:
                 self.stop()
                 raise ArmFailedError(
-                    f"pose {target.tolist()} was not reached in {allowed:.1f} s: the arm stopped at "
+                    f"pose {target.tolist()} was not reached within {allowed:.1f} s: the arm stopped at "
                     f"{self._pose.tolist()}"
                 )
             limited |= self._tick(self._limits.approach(self._pose.tolist(), target.tolist(), self._body.period))
@@ -186,7 +190,7 @@ class SimulatedArm:
         return MoveResult(self.pose, self.velocity, limited)
 
     def stop(self) -> MoveResult:
-        """Come to rest as fast as the acceleration limit allows. Raises ArmFailedError when the arm keeps moving."""
+        """Brake at the acceleration limit. Raises ArmFailedError if the arm keeps moving."""
         braking_steps = round(self._limits.braking_time(self._commanded) / self._body.period)
         for _ in range(braking_steps + _SETTLING_STEPS):
             self._tick(_REST)
@@ -195,13 +199,13 @@ class SimulatedArm:
         raise ArmFailedError(f"the arm did not come to rest: it moves at {self.velocity.tolist()} (m/s, m/s, rad/s)")
 
     def _tick(self, velocity: List[float]) -> bool:
-        """One physics step at the legal velocity next to a planar one (3,); whether more than inertia changed it."""
+        """Advance one physics step at the legal velocity closest to a planar one (3,) -> whether a limit changed it."""
         period = self._body.period
         legal = self._limits.next_velocity(self._pose.tolist(), self._commanded, velocity, period)
         joints = self._body.joints()
         twist = servo.held_twist(legal.velocity, self._position, self._orientation, self._height)
         wanted = servo.joint_velocities(self._body.jacobian(joints), twist, joints)
-        # The joints' own limits have the last word: where they slow the arm, it may brake harder than it is asked to.
+        # Joint limits take precedence: where they slow the arm, it may brake harder than the acceleration limit.
         share = servo.share_within_limits(wanted, joints, period)
         self._body.drive(joints, share * wanted)
         self._commanded = [share * speed for speed in legal.velocity]
@@ -220,7 +224,7 @@ class SimulatedArm:
             )
 
     def _check_reach(self) -> None:
-        # Corners alone do not tell: close to the base the elbow folds to its limit in the middle of an edge first.
+        # Corners are not enough: near the base the elbow reaches its limit first in the middle of an edge.
         axes = (np.linspace(*limits) for limits in zip(self._limits.lower, self._limits.upper, _REACH_GRID))
         for pose in itertools.product(*axes):
             self._place(np.array(pose))

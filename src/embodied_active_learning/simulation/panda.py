@@ -1,4 +1,4 @@
-"""The Franka Panda of pybullet_data as a URDF that robot_state_publisher, rviz and PyBullet all read."""
+"""The Franka Panda of pybullet_data as a URDF for robot_state_publisher, rviz and PyBullet."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ OPTICAL_FRAME = "camera_optical_frame"
 ARM_JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 
 _MESH_PREFIX = "package://meshes/"
-# The camera takes the gripper's place at the flange.
+# The camera replaces the gripper at the flange.
 _GRIPPER_LINKS = ("panda_hand", "panda_leftfinger", "panda_rightfinger", "panda_grasptarget")
 _SMALL_MASS = "0.01"
 _SMALL_INERTIA = "1e-5"
 
 
 def panda_urdf() -> str:
-    """URDF for robot_state_publisher and rviz: meshes as absolute file:// addresses, camera frames at the flange.
+    """Return the URDF for robot_state_publisher and rviz: meshes as absolute file:// URLs, camera frames at the flange.
 
-    With the tool pointing down, the optical frame's z looks at the table, its x is the flange's x, and its orientation
-    in panda_link0 is Rz(theta) Rx(pi).
+    With the tool pointing down, the optical frame's z points to the table, its x is the flange's x, and its
+    orientation in panda_link0 is Rz(theta) Rx(pi).
     """
     robot = _camera_panda()
     meshes = _panda_folder() / "meshes"
     for mesh in robot.iter("mesh"):
         mesh.set("filename", (meshes / mesh.get("filename", "")[len(_MESH_PREFIX) :]).as_uri())
-    # KDL, and with it robot_state_publisher, warns about a root link that has inertia.
+    # robot_state_publisher (KDL) warns about a root link with inertia.
     base = _link(robot, BASE_FRAME)
     base.remove(_child(base, "inertial"))
     return _text(robot)
 
 
 def physics_urdf() -> str:
-    """URDF for PyBullet: the same joints and masses without shapes; nothing touches the arm, and no camera sees it."""
+    """Return the URDF for PyBullet: the same joints and masses without shapes, as nothing touches or sees the arm."""
     robot = _camera_panda()
     for link in robot.iter("link"):
         for shape in link.findall("visual") + link.findall("collision") + link.findall("contact"):
@@ -55,8 +55,8 @@ def _text(robot: ET.Element) -> str:
 
 
 def _camera_panda() -> ET.Element:
-    """The Panda with a camera for a gripper, the real robot's joint limits and well-formed inertias."""
-    # The file comes with pybullet itself: it is as trusted as the code that is imported from there.
+    """Return the Panda with a camera instead of a gripper, the real robot's joint limits and valid inertias."""
+    # The file is part of pybullet and as trusted as its code.
     robot = ET.parse(_panda_folder() / "panda.urdf").getroot()  # noqa: S314
     _remove_gripper(robot)
     for joint in robot.iter("joint"):
@@ -76,7 +76,7 @@ def _remove_gripper(robot: ET.Element) -> None:
 
 
 def _add_camera_body(robot: ET.Element) -> None:
-    """A webcam for the eye, behind the optical centre."""
+    """Add a webcam body behind the optical centre, for display."""
     visual = ET.SubElement(_link(robot, CAMERA_FRAME), "visual")
     ET.SubElement(visual, "origin", {"xyz": "0 0 -0.0125", "rpy": "0 0 0"})
     ET.SubElement(ET.SubElement(visual, "geometry"), "box", {"size": "0.09 0.03 0.025"})
@@ -85,7 +85,7 @@ def _add_camera_body(robot: ET.Element) -> None:
 
 
 def _tidy_joint(joint: ET.Element) -> None:
-    """Take the real robot's limits, which pybullet_data keeps as soft limits beside wider ones; drop null axes."""
+    """Set the real robot's limits, given as soft limits in pybullet_data; remove the axes of fixed joints."""
     soft, limit, axis = joint.find("safety_controller"), joint.find("limit"), joint.find("axis")
     if soft is not None and limit is not None:
         limit.set("lower", soft.get("soft_lower_limit", ""))
@@ -95,7 +95,7 @@ def _tidy_joint(joint: ET.Element) -> None:
 
 
 def _tidy_inertia(link: ET.Element) -> None:
-    """Links without mass get a mass too small to matter: massless links are trouble for a dynamics engine."""
+    """Give massless links a negligible mass, which the dynamics engine needs."""
     if float(_child(_child(link, "inertial"), "mass").get("value", "")) == 0.0:
         link.remove(_child(link, "inertial"))
         link.insert(0, _small_inertial())
@@ -111,7 +111,7 @@ def _small_inertial() -> ET.Element:
 
 
 def _add_frame(robot: ET.Element, parent: str, name: str) -> None:
-    """A link fixed to its parent without offset; its inertia lies at its origin, so its frame is its centre of mass."""
+    """Add a link fixed to its parent without offset; its centre of mass is its origin."""
     ET.SubElement(robot, "link", {"name": name}).append(_small_inertial())
     joint = ET.SubElement(robot, "joint", {"name": f"{name}_joint", "type": "fixed"})
     ET.SubElement(joint, "parent", {"link": parent})
@@ -131,7 +131,7 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
 
 
 def joint_limits(urdf: str) -> Tuple[Tuple[float, float, float], ...]:
-    """Lower limit [rad], upper limit [rad] and top speed [rad/s] of each of the seven arm joints in a URDF."""
+    """Return lower limit [rad], upper limit [rad] and top speed [rad/s] of the seven arm joints in a URDF."""
     robot = ET.fromstring(urdf)  # noqa: S314 -- made by this module
     limits = {joint.get("name"): joint.find("limit") for joint in robot.iter("joint")}
     found = (limits[name] for name in ARM_JOINTS)

@@ -1,4 +1,4 @@
-"""The simulated Panda's body: joints, frames and physics, in a PyBullet client of its own."""
+"""The simulated Panda: joints, frames and physics in a separate PyBullet client."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Rotation = Tuple[Tuple[float, ...], ...]
 StateDict = Dict[str, np.ndarray]
 """Named float64 arrays that determine the further motion of a simulated arm."""
 
-# The Panda compensates gravity itself and its servos follow a commanded joint velocity within a millisecond: the model
-# of that is no gravity, and motors strong enough to follow at once.
+# The Panda compensates gravity, and its servos follow a joint velocity within a millisecond: modelled without gravity
+# and with motors that follow at once.
 _MOTOR_EFFORT = 1000.0  # N m
 
 
 class PandaBody:
-    """Seven joints that follow velocities, and the camera's optical frame at their end."""
+    """Seven velocity-controlled joints and the camera's optical frame."""
 
     def __init__(self, physics_rate: int) -> None:
         """Load the robot; physics_rate in steps per second."""
@@ -45,7 +45,7 @@ class PandaBody:
             )
 
     def close(self) -> None:
-        """Free the client; the body is of no use afterwards."""
+        """Free the client; the body cannot be used afterwards."""
         pybullet.disconnect(physicsClientId=self._client)
 
     @property
@@ -73,17 +73,17 @@ class PandaBody:
         self._reset(state["joints"], state["joint_velocities"])
 
     def joint_states(self) -> Dict[str, Tuple[float, float]]:
-        """Position [rad] and velocity [rad/s] of every joint by name."""
+        """Return position [rad] and velocity [rad/s] of every joint by name."""
         states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)
         return {name: (state[0], state[1]) for name, state in zip(ARM_JOINTS, states)}
 
     def joints(self) -> np.ndarray:
-        """(7,) positions of the arm's joints, rad."""
+        """Return the joint positions (7,), rad."""
         states = pybullet.getJointStates(self._robot, self._arm, physicsClientId=self._client)
         return np.array([state[0] for state in states])
 
     def optical_frame(self) -> Tuple[Tuple[float, ...], Rotation, Tuple[float, ...]]:
-        """Position (3,) m, orientation (3, 3) and twist (6,) m/s, rad/s of the optical frame in the base frame."""
+        """Return position (3,) [m], orientation (3, 3) and twist (6,) [m/s, rad/s] of the optical frame."""
         state = pybullet.getLinkState(
             self._robot, self._optical, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=self._client
         )
@@ -91,7 +91,7 @@ class PandaBody:
         return state[4], (rotation[:3], rotation[3:6], rotation[6:]), state[6] + state[7]
 
     def jacobian(self, joints: np.ndarray) -> np.ndarray:
-        """(6, 7) twist of the optical frame per joint velocity, at joint positions (7,)."""
+        """Return the Jacobian (6, 7) of the optical frame at joint positions (7,)."""
         linear, angular = pybullet.calculateJacobian(
             self._robot,
             self._optical,
@@ -104,13 +104,13 @@ class PandaBody:
         return np.array(linear + angular)
 
     def place(self, joints: np.ndarray) -> None:
-        """Put the arm at joint positions (7,), at rest, without simulating how it gets there."""
+        """Set the joint positions (7,), at rest, without simulating the motion."""
         self._reset(joints, np.zeros(len(joints)))
 
     def drive(self, joints: np.ndarray, joint_velocities: np.ndarray) -> None:
-        """Advance physics by one step from where the joints are (7,), rad, at these velocities (7,), rad/s."""
-        # Bullet's iterative solver needs up to 20 ms to bring strongly coupled joints to new velocities. Starting them
-        # there leaves the motors nothing to do but to hold them.
+        """Advance physics by one step from joint positions (7,) [rad] at joint velocities (7,) [rad/s]."""
+        # Bullet's iterative solver needs up to 20 ms to bring strongly coupled joints to new velocities: start with them,
+        # so that the motors only have to hold them.
         self._reset(joints, joint_velocities)
         pybullet.setJointMotorControlArray(
             self._robot,

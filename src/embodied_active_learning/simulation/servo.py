@@ -1,7 +1,6 @@
-"""From a planar velocity of the camera to joint velocities, with height and tilt held.
+"""Servo control: planar velocities of the camera to joint velocities, with height and tilt held.
 
-Every physics step comes through here. Where there are only a few numbers they are plain floats, because an operation of
-numpy takes longer to begin than such arithmetic takes in all.
+This runs in every physics step. Short vectors are plain floats, because the overhead of numpy exceeds such arithmetic.
 """
 
 from __future__ import annotations
@@ -20,34 +19,34 @@ _LIMITS = JOINT_LIMITS.tolist()
 _HOLD_GAIN = 20.0  # 1/s, on height and tilt
 _POSTURE_GAIN = 1.0  # 1/s, towards home in the null space
 _SOLVED = 1e-6  # m, rad; PyBullet keeps link frames in single precision
-_DAMPING = 1e-3  # singular values below this give up speed, so that joints stay bounded
+_DAMPING = 1e-3  # singular values below this lose speed, so that joint velocities stay bounded
 
 
 def planar_pose(position: Sequence[float], orientation: Rotation) -> np.ndarray:
     """Position (3,) m and orientation (3, 3) of the optical frame -> (x, y, theta) in m, m, rad."""
-    # Not math.atan2, whose last digit is another: one seed is to give the poses that it has always given.
+    # Not math.atan2, whose last digit differs: results for one seed must not change.
     return np.array([position[0], position[1], np.arctan2(orientation[1][0], orientation[0][0])])
 
 
 def tilt(orientation: Rotation) -> Tuple[float, float]:
-    """Rotation about x and y, rad for small ones, that turns the optical axis of (3, 3) straight down."""
+    """Return the small rotation about x and y [rad] that turns the optical axis of (3, 3) straight down."""
     return -orientation[1][2], orientation[0][2]
 
 
 def held_twist(
     velocity: Sequence[float], position: Sequence[float], orientation: Rotation, height: float
 ) -> np.ndarray:
-    """Planar velocity (3,) -> twist (6,) of the optical frame that also corrects its height (m) and its tilt."""
+    """Return the twist (6,) of the optical frame for a planar velocity (3,), correcting height [m] and tilt."""
     about_x, about_y = tilt(orientation)
     climb = _HOLD_GAIN * (height - position[2])
     return np.array([velocity[0], velocity[1], climb, _HOLD_GAIN * about_x, _HOLD_GAIN * about_y, velocity[2]])
 
 
 def joint_velocities(jacobian: np.ndarray, twist: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Joint velocities (7,) that give the twist (6,), and use the one freedom left to draw the joints (7,) home.
+    """Return joint velocities (7,) for a twist (6,); the redundant degree of freedom moves the joints (7,) home.
 
-    By singular values rather than by solving the normal equations: OpenBLAS hands even six equations to several
-    threads, which then wait for each other on a busy machine and make a move up to four times as slow.
+    By singular value decomposition instead of normal equations: OpenBLAS solves even six equations in several threads,
+    which on a busy machine makes a move up to four times slower.
     """
     left, singular, right = np.linalg.svd(jacobian)
     inverse = singular / (singular**2 + _DAMPING**2)
@@ -56,7 +55,7 @@ def joint_velocities(jacobian: np.ndarray, twist: np.ndarray, joints: np.ndarray
 
 
 def share_within_limits(velocities: np.ndarray, joints: np.ndarray, period: float) -> float:
-    """The largest part, 0 to 1, of joint velocities (7,) that keeps speeds and the positions one period on legal."""
+    """Return the largest factor, 0 to 1, for joint velocities (7,) that keeps speeds and next positions legal."""
     share = 1.0
     for velocity, joint, (lower, upper, speed) in zip(velocities.tolist(), joints.tolist(), _LIMITS):
         room = (upper - joint if velocity > 0.0 else joint - lower) / period
@@ -67,7 +66,7 @@ def share_within_limits(velocities: np.ndarray, joints: np.ndarray, period: floa
 
 
 def solve_joints(body: PandaBody, pose: np.ndarray, height: float) -> Optional[np.ndarray]:
-    """Joint positions (7,) for a pose (x, y, theta) at a height (m), or None when the arm cannot reach it.
+    """Return joint positions (7,) for a pose (x, y, theta) at a height [m], or None if the arm cannot reach it.
 
     Moves the body there and leaves it there.
     """

@@ -1,4 +1,4 @@
-"""The whole stand-in: the arm, what its camera sees, and what disturbs both."""
+"""The simulation: arm, camera image and disturbances."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from embodied_active_learning.simulation.world import World
 
 
 class Simulation:
-    """A Panda over a world's table. One seed gives one result; time passes only while the arm is told to move.
+    """A Panda over a world's table. One seed gives one result; time advances only with commands of the arm.
 
-    Not for several threads at once. Use it as a context manager: leaving it frees both PyBullet clients.
+    Not thread-safe. Use it as a context manager: leaving it frees both PyBullet clients.
     """
 
     def __init__(self, world: World, config: Config) -> None:
-        """Load the world and stand at simulation/start. Raises WorldError or ConfigError before anything moves."""
+        """Load the world and start at simulation/start. Raises WorldError or ConfigError."""
         self._scene = Scene(world, config.camera)
         try:
             self._arm = SimulatedArm(config)
@@ -44,7 +44,7 @@ class Simulation:
         self.close()
 
     def close(self) -> None:
-        """Free both PyBullet clients; harmless when they are free already."""
+        """Free both PyBullet clients; may be called repeatedly."""
         if not self._closed:
             self._closed = True
             self._arm.close()
@@ -77,7 +77,7 @@ class Simulation:
 
     @property
     def objects(self) -> Tuple[SceneObject, ...]:
-        """The truth about every object on the table."""
+        """Ground truth of the objects on the table."""
         return self._scene.objects
 
     def state_dict(self) -> StateDict:
@@ -93,22 +93,22 @@ class Simulation:
         return self._scene.intrinsics()
 
     def move(self, velocity: Sequence[float], duration: float) -> MoveResult:
-        """Hold a planar velocity (3,) m/s, m/s, rad/s for a duration, s. Raises CommandError when it is refused."""
+        """Hold a planar velocity (3,) [m/s, m/s, rad/s] for a duration [s]. Raises CommandError if it is invalid."""
         return self._arm.move(velocity, duration, lambda: self._disturbance.actuation(self.time))
 
     def go_to(self, pose: Sequence[float]) -> MoveResult:
-        """Go to a planar pose (3,) m, m, rad and stop there. Raises CommandError when it is refused or not reached."""
+        """Move to a planar pose (3,) [m, m, rad] and stop. Raises CommandError if it is invalid or not reached."""
         return self._arm.go_to(pose)
 
     def stop(self) -> MoveResult:
-        """Stop now."""
+        """Stop the arm."""
         return self._arm.stop()
 
     def image(self) -> np.ndarray:
-        """(H, W, 3) uint8 RGB of what the camera sees from where the arm is."""
+        """Return the camera image (H, W, 3) uint8 RGB at the arm's pose and velocity."""
         image = self._scene.render(self._arm.pose, self._arm.camera_height, self._arm.velocity)
         return self._disturbance.image(image, self.time)
 
     def top_view(self, centre: np.ndarray, size: float, width: int = 600) -> np.ndarray:
-        """(width, width, 3) uint8 RGB of a square of the table: centre (2,) m, size m; right is +x, up is +y."""
+        """Return a top view (width, width, 3) uint8 RGB of a square: centre (2,) [m], size [m]; x right, y up."""
         return self._scene.top_view(centre, size, width)

@@ -512,7 +512,7 @@ def test_restore_rejects_another_state_of_that_stamp(simulated):
 
 
 def test_lost_state_of_restarted_simulation_ends_control(simulated):
-    """The arm is then held where it is, and the caller is told that it was held."""
+    """The arm is then held where it is, and was_held reports it."""
     retrying = retrying_arm.RetryingArm(Config())
     retrying.execute(FORWARD)
     simulated.saved = ()
