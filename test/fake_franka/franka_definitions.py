@@ -1,9 +1,8 @@
-"""The messages, services and actions of franka_ros, ros_control and dynamic_reconfigure that our nodes speak.
+"""Messages, services and actions of franka_ros, ros_control and dynamic_reconfigure that our nodes use.
 
-Our own description of their fields, for machines where those packages are not installed: what decides whether two nodes
-understand each other is the checksum over the fields' types, names and order, and test_fake_franka_messages.py compares
-those checksums with the originals'. Versions described: franka_msgs 0.10, controller_manager_msgs 0.19 and
-dynamic_reconfigure 1.7, as released for Noetic.
+A description of their fields for computers without those packages. Two nodes are compatible if the checksums over the
+types, names and order of the fields agree; test_fake_franka_messages.py compares them with those of the originals:
+franka_msgs 0.10, controller_manager_msgs 0.19 and dynamic_reconfigure 1.7, as released for Noetic.
 """
 
 from __future__ import annotations
@@ -86,7 +85,7 @@ _ANSWER = "bool success\nstring error\n"
 
 
 def _fields(*groups) -> str:
-    """Lines "type name" of groups (type, "name name ..."), in their order."""
+    """Return lines "type name" for groups (type, "name name ...")."""
     return "".join(f"{kind} {name}\n" for kind, names in groups for name in names.split())
 
 
@@ -95,7 +94,7 @@ def _service(request: str, response: str = _ANSWER) -> str:
 
 
 def _thresholds(*phases: str) -> str:
-    """Collision thresholds of the joints, then of the hand, lower before upper, for each phase of a motion."""
+    """Return the collision thresholds of joints and hand, lower and upper, for each phase of a motion."""
     sizes = (("torque", 7), ("force", 6))
     return "".join(
         f"float64[{size}] {bound}_{kind}_thresholds_{phase}\n"
@@ -134,7 +133,7 @@ MESSAGES: Dict[str, Dict[str, str]] = {
         ),
     },
 }
-"""Package -> message -> its definition."""
+"""Definition of each message by package and name."""
 
 SERVICES: Dict[str, Dict[str, str]] = {
     "franka_msgs": {
@@ -161,14 +160,14 @@ SERVICES: Dict[str, Dict[str, str]] = {
         "Reconfigure": _service("Config config\n", "Config config\n"),
     },
 }
-"""Package -> service -> its definition: request, three dashes, response."""
+"""Definition of each service by package and name."""
 
 ACTIONS: Dict[str, Dict[str, List[str]]] = {"franka_msgs": {"ErrorRecovery": ["", "", ""]}}
-"""Package -> action -> the definitions of its goal, result and feedback."""
+"""Definitions of goal, result and feedback of each action by package and name."""
 
 
 def action_messages(name: str, package: str, goal: str, result: str, feedback: str) -> Dict[str, str]:
-    """The seven messages that an action of a package consists of."""
+    """Return the seven messages of an action."""
     status = "std_msgs/Header header\nactionlib_msgs/GoalStatus status\n"
     return {
         f"{name}Goal": goal,
@@ -186,7 +185,7 @@ def action_messages(name: str, package: str, goal: str, result: str, feedback: s
 
 
 def message_definitions(package: str) -> Dict[str, str]:
-    """Name -> definition of every message of a package, those of its actions too."""
+    """Return the definitions of all messages of a package by name, including those of its actions."""
     found = dict(MESSAGES[package])
     for name, parts in ACTIONS.get(package, {}).items():
         found.update(action_messages(name, package, *parts))

@@ -109,8 +109,8 @@ class PandaBody:
 
     def drive(self, joints: np.ndarray, joint_velocities: np.ndarray) -> None:
         """Advance physics by one step from joint positions (7,) [rad] at joint velocities (7,) [rad/s]."""
-        # Bullet's iterative solver needs up to 20 ms to bring strongly coupled joints to new velocities: start with them,
-        # so that the motors only have to hold them.
+        # Bullet's iterative solver needs up to 20 ms to bring strongly coupled joints to new velocities: start with
+        # them, so that the motors only have to hold them.
         self._reset(joints, joint_velocities)
         pybullet.setJointMotorControlArray(
             self._robot,
