@@ -284,8 +284,8 @@ class FrankaArmTest(unittest.TestCase):
         self.assertEqual(self.truth()["stiffness"], [200.0, 30.0])
 
     def reload_controller(self):
-        self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0))
-        self.assertTrue(self.controllers("unload", OURS))
+        self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0), "not stopped")
+        self.assertTrue(self.controllers("unload", OURS), "not unloaded")
         until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
         return self.recover()
 
@@ -298,7 +298,8 @@ class FrankaArmTest(unittest.TestCase):
             rospy.set_param("fake_franka/old_stiffness_name", False)
         self.assertTrue(answer.success, answer.message)
         self.assertEqual(self.truth()["stiffness"], [200.0, 30.0])
-        self.assertTrue(self.reload_controller().success)
+        answer = self.reload_controller()
+        self.assertTrue(answer.success, answer.message)
 
     def test_stiffness_that_is_not_adopted_is_refused(self):
         rospy.set_param("fake_franka/ignore_stiffness", True)

@@ -208,3 +208,15 @@ def test_failed_preparation_is_retried_after_release():
     assert not robot.readiness.needs_preparation
     robot.readiness.release()
     assert robot.readiness.needs_preparation
+
+
+def test_requested_recoveries_do_not_hold_robot_but_user_stop_does():
+    robot = Robot(recoveries=1)
+    robot.reports(REFLEX)
+    robot.recovers()
+    assert robot.reports(REFLEX, after=GRACE + 0.1) is Condition.HELD
+    robot.readiness.forget_reflexes()
+    assert robot.reports() is Condition.READY
+    robot.reports(mode=RobotMode.USER_STOPPED)
+    robot.readiness.forget_reflexes()
+    assert robot.reports() is Condition.HELD

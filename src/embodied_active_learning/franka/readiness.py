@@ -31,7 +31,8 @@ class Readiness:
         self._clock = clock
         self._report = Report()
         self._condition = Condition.NO_STATE
-        self._held_for = ""
+        self._manual_hold = ""  # why a person has to release the robot
+        self._reflex_hold = ""
         self._prepared = False
         self._preparation_error = ""
         self._recovering = False
@@ -94,7 +95,7 @@ class Readiness:
     @property
     def held_for(self) -> str:
         """Why the robot is held until `release`; empty if it is not."""
-        return self._held_for
+        return self._manual_hold or self._reflex_hold
 
     @property
     def preparation_error(self) -> str:
@@ -140,8 +141,13 @@ class Readiness:
         self._reflex_since = self._uncontrolled_since = None
 
     def release(self) -> None:
-        """A person has confirmed that the robot may move: earlier reflexes and failures no longer count."""
-        self._held_for = self._preparation_error = self._recovery_error = ""
+        """A person has confirmed that the robot may move: earlier stops, reflexes and failures no longer count."""
+        self._manual_hold = self._preparation_error = ""
+        self.forget_reflexes()
+
+    def forget_reflexes(self) -> None:
+        """Recoveries that a person has requested do not count."""
+        self._reflex_hold = self._recovery_error = ""
         self._consecutive_recoveries = 0
         self._was_ready = True
 
@@ -149,9 +155,9 @@ class Readiness:
         if report.age is None:
             return
         if report.mode == RobotMode.USER_STOPPED:
-            self._held_for = "the user stop was pressed and has been released"
+            self._manual_hold = "the user stop was pressed and has been released"
         elif report.mode == RobotMode.GUIDING:
-            self._held_for = "the robot was guided by hand"
+            self._manual_hold = "the robot was guided by hand"
 
     def _evaluate(self, report: Report, now: float) -> Condition:
         max_age = self._config.state_max_age
@@ -164,7 +170,7 @@ class Readiness:
             (Condition.GUIDED, report.mode == RobotMode.GUIDING),
             (Condition.RECOVERING, recovering),
             (Condition.UNUSABLE, bool(report.problem)),
-            (Condition.HELD, bool(self._held_for)),
+            (Condition.HELD, bool(self.held_for)),
         )
         if found is not None:
             return found
@@ -177,10 +183,10 @@ class Readiness:
         """Recover automatically if this is allowed, or else hold the robot."""
         errors = self._report.error_names
         if not self._was_ready:
-            self._held_for = f"the robot was in a reflex ({errors}) before this node moved it"
+            self._reflex_hold = f"the robot was in a reflex ({errors}) before this node moved it"
         elif self._consecutive_recoveries >= self._config.recoveries:
             last = f"; last recovery: {self._recovery_error}" if self._recovery_error else ""
-            self._held_for = (
+            self._reflex_hold = (
                 f"robot reflex ({errors}) after {self._consecutive_recoveries} consecutive recoveries "
                 f"(franka/recoveries){last}"
             )

@@ -110,8 +110,7 @@ class FrankaSupervisor:
         franka_control from 0.10.2 on recovers only from errors that have ended a motion of its own. It ignores one from
         before its start until a controller is started and its motion is rejected.
         """
-        self._recover()
-        self._settle()
+        self._recover_on_request()
         if not self._has_error():
             return False
         rospy.logwarn("the robot still reports its error: starting %s so that franka_control notices it", CONTROLLER)
@@ -120,8 +119,7 @@ class FrankaSupervisor:
             self._interface.load()
         if ours is None or not ours.is_active:
             self._interface.start()
-        self._recover()
-        self._settle()
+        self._recover_on_request()
         if self._has_error():
             with self._driver.lock:
                 errors = self._driver.readiness.report.error_names
@@ -130,6 +128,14 @@ class FrankaSupervisor:
                 "unlock the joints in Desk, then call /arm/recover"
             )
         return True
+
+    def _recover_on_request(self) -> None:
+        self._recover()
+        with self._driver.lock:
+            self._driver.readiness.forget_reflexes()
+        self._settle()
+        with self._driver.lock:
+            self._driver.readiness.forget_reflexes()
 
     def _try_prepare(self) -> None:
         try:
