@@ -6,10 +6,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import rospy
+from sensor_msgs.msg import CameraInfo
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.franka.report import CONTROLLER, Controller
 from embodied_active_learning.geometry import intrinsics
+from embodied_active_learning.ros.conversions import camera_info_message
 from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
 from embodied_active_learning.ros.preflight.check_result import (
     ExitCode,
@@ -127,12 +130,32 @@ def test_poor_image_is_a_warning(image, name, remedy):
     [(30.0, (180, 180), "OK"), (30.5, (180, 180), "OK"), (33.0, (180, 180), "WARNING"), (30.0, (360, 640), "ERROR")],
 )
 def test_camera_matrix_is_compared_with_settings(degrees, size, level):
-    matrix = intrinsics(size[1], size[0], degrees).ravel()
-    assert images.check_camera_matrix(matrix, *size, CONFIG.camera).level.value == level
+    info = camera_info_message(rospy.Time(), intrinsics(size[1], size[0], degrees), *size)
+    assert images.check_camera_matrix(info, CONFIG.camera).level.value == level
 
 
 def test_missing_camera_matrix_is_an_error():
-    assert images.check_camera_matrix([0.0] * 9, 180, 180, CONFIG.camera).level is Level.ERROR
+    info = CameraInfo(height=180, width=180)
+    assert images.check_camera_matrix(info, CONFIG.camera).level is Level.ERROR
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"K": [335.9, 0, 109.5, 0, 335.9, 89.5, 0, 0, 1]}, "optical axis +20.0, +0.0 px off centre"),
+        ({"K": [403.0, 0, 89.5, 0, 335.9, 89.5, 0, 0, 1]}, "fx/fy 1.200"),
+        ({"D": [-0.9, 0.12, 0, 0, 0]}, "distortion plumb_bob"),
+        ({"D": [1.0], "distortion_model": "mei"}, "distortion model 'mei' is not supported"),
+    ],
+    ids=["axis", "aspect", "distortion", "unknown model"],
+)
+def test_wrong_camera_geometry_is_a_warning(changes, words):
+    info = camera_info_message(rospy.Time(), intrinsics(180, 180, 30.0), 180, 180)
+    for name, value in changes.items():
+        setattr(info, name, value)
+    result = images.check_camera_matrix(info, CONFIG.camera)
+    assert result.level is Level.WARNING
+    assert words in result.message
 
 
 @pytest.mark.parametrize(

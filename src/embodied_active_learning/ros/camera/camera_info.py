@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Optional
+from typing import Optional, Tuple
 
 import numpy as np
 import rospy
@@ -67,14 +68,23 @@ def calibrate(info: Optional[CameraInfo], framing: Framing, camera: CameraConfig
     return _apply_lens(lens, info, framing, camera)
 
 
+def geometry_error(info: CameraInfo, camera: CameraConfig) -> Tuple[float, str]:
+    """Return the largest error (m) of positions on the table for images with this camera_info, and its properties.
+
+    info: of the model's images. Raises ValueError for an unsupported distortion model.
+    """
+    framing = Framing.between((info.height, info.width), (info.height, info.width))
+    return table_error(LensModel(info), framing, camera), _summary(info, framing)
+
+
 def is_calibrated(info: CameraInfo) -> bool:
     """Return whether camera_info has a camera matrix; drivers without a calibration send zeros."""
     return bool(np.all(np.isfinite(info.K))) and info.K[0] > 0.0 and info.K[4] > 0.0
 
 
 def error_tolerance(camera: CameraConfig) -> float:
-    """Largest error (m) on the table that is accepted without a warning: FIELD_TOLERANCE at the edge of an image."""
-    return FIELD_TOLERANCE * metres_per_pixel(camera) * camera.height / 2.0
+    """Return the largest error (m) on the table without a warning: FIELD_TOLERANCE in the corner of an image."""
+    return FIELD_TOLERANCE * metres_per_pixel(camera) * math.hypot(camera.width, camera.height) / 2.0
 
 
 def _apply_lens(lens: LensModel, info: CameraInfo, framing: Framing, camera: CameraConfig) -> Calibration:

@@ -6,9 +6,10 @@ from typing import List, Sequence
 
 import cv2
 import numpy as np
+from sensor_msgs.msg import CameraInfo
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import FIELD_TOLERANCE, field_of_view
+from embodied_active_learning.ros.camera.camera_info import error_tolerance, geometry_error, is_calibrated
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 
 DARK, BRIGHT = 8, 250
@@ -54,21 +55,25 @@ def check_content(images: Sequence[np.ndarray], camera: CameraConfig, real: bool
     return results
 
 
-def check_camera_matrix(matrix: Sequence[float], height: int, width: int, camera: CameraConfig) -> CheckResult:
-    """Check size and field of view of CameraInfo. matrix: K (9,)."""
+def check_camera_matrix(info: CameraInfo, camera: CameraConfig) -> CheckResult:
+    """Check size, camera matrix and distortion of the images' CameraInfo."""
     name, reason = "camera matrix", "positions of objects are computed from camera/field_of_view"
-    if (height, width) != (camera.height, camera.width) or not (np.all(np.isfinite(matrix)) and matrix[4] > 0.0):
+    if (info.height, info.width) != (camera.height, camera.width) or not is_calibrated(info):
         return error(
             name,
-            f"CameraInfo of {width} x {height} pixels with K {list(matrix)[:6]}; images have "
+            f"CameraInfo of {info.width} x {info.height} pixels with K {list(info.K)[:6]}; images have "
             f"{camera.width} x {camera.height}",
             reason,
             "see the log of camera_pipeline, which publishes it",
         )
-    measured = field_of_view(np.reshape(matrix, (3, 3)), height)
-    message = f"field of view {measured:.1f} degrees, camera/field_of_view {camera.field_of_view:.1f}"
-    if abs(measured - camera.field_of_view) > FIELD_TOLERANCE * camera.field_of_view:
-        return warning(name, message, reason, f"set camera/field_of_view to {measured:.1f}, or calibrate the camera")
+    try:
+        distance, summary = geometry_error(info, camera)
+    except ValueError as problem:
+        return warning(name, str(problem), reason, "rectify the images with image_proc")
+    message = f"{summary}; camera/field_of_view {camera.field_of_view:.1f}"
+    if not distance <= error_tolerance(camera):
+        remedy = "see the log of camera_pipeline: set camera/field_of_view, or calibrate the camera"
+        return warning(name, f"{message}: up to {1000 * distance:.1f} mm wrong on the table", reason, remedy)
     return ok(name, message)
 
 

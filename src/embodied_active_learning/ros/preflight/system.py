@@ -181,7 +181,7 @@ class System:
         if newest is None:
             reason = "measurements in images need it"
             return check_topic("camera matrix", self._statistics["info"], reason, self._start, None)
-        return images.check_camera_matrix(newest.K, newest.height, newest.width, self._config.camera)
+        return images.check_camera_matrix(newest, self._config.camera)
 
     def frames(self) -> List[CheckResult]:
         """Check tf, and whether motion can start at the camera's pose."""
