@@ -165,10 +165,6 @@ def test_node_ends_while_master_hangs(tmp_path):
     with ros.master() as master, ros.node(STUB, "wait") as node:
         node.wait_for(WAITING)
         master.send_signal(signal.SIGSTOP)
-        node.wait_for(f"waiting for the ROS master at {ros.uri}: timed out")
-        master.send_signal(signal.SIGCONT)
-        node.wait_for("answers again")
-        master.send_signal(signal.SIGSTOP)
         assert node.end(signal.SIGINT) in (ExitCode.SUCCESS, ExitCode.SHUTDOWN_TIMEOUT)
         assert "Traceback" not in node.output
 
@@ -225,3 +221,23 @@ def test_failed_node_ends_monitor_with_reason(ros, master):
         assert monitor.process.wait(10) == ExitCode.KNOWN_ERROR
         assert monitor.output.splitlines()[-1].endswith("/stub: the disk is full: free some")
         assert "Traceback" not in monitor.output
+
+
+def test_running_node_is_not_replaced(tmp_path):
+    """A second node or launch with the same name does not start; a killed node is replaced."""
+    ros = Ros(tmp_path)
+    parameters = {"/config": {"session": {"name": "first"}}, "/failure": ""}
+    with ros.master(**parameters), ros.node(STUB, "wait") as first:
+        first.wait_for(WAITING)
+        with ros.node(STUB, "wait") as second:
+            assert second.process.wait(20) == ExitCode.KNOWN_ERROR
+            where = f"(process {first.process.pid} on localhost, session first)"
+            assert f"node /stub is already running {where}" in second.output
+        with ros.node(ROOT / "scripts" / "resolve_config", "--nodes", "trainer", "stub") as launch:
+            assert launch.process.wait(20) == ExitCode.KNOWN_ERROR
+            assert "nothing was started: node /stub is already running" in launch.output
+        assert ros.parameter("/failure") == ""
+        assert first.process.poll() is None
+        first.process.kill()
+        with ros.node(STUB, "wait") as third:
+            third.wait_for(WAITING)

@@ -46,7 +46,7 @@ class PreflightFrankaTest(unittest.TestCase):
             self.assertEqual(run.levels["config check"], level, run.output)
             self.assertLessEqual(ROBOT, run.names("OK"), run.output)
             self.assertIn("parameter /franka_arm/config, arm/robot franka", run.output)
-        self.assertIn("arm/robot is 'pybullet' in the system's configuration, and 'franka' in the arm's", run.output)
+        self.assertIn("arm/robot is 'pybullet' in the system and 'franka' in the arm's node", run.output)
 
     def test_user_stop_and_silent_camera_are_errors(self):
         for fault in ("user_stop", "silence_camera"):

@@ -18,11 +18,20 @@ _TIMEOUT = 3.0
 """Wall seconds within which a master or node answers."""
 
 
+CALL_ERRORS = (OSError, http.client.HTTPException, XmlRpcError, ExpatError)
+"""Exceptions of a call of server_proxy(); the last one if the server dies during its response."""
+
+
+def server_proxy(uri: str) -> Any:
+    """Return an XML-RPC proxy of a master or node whose calls have a timeout."""
+    return ServerProxy(uri, transport=_TimeoutTransport())
+
+
 def connection_error(uri: str) -> str:
     """Return why the XML-RPC server of a master or node does not answer; empty if it does."""
     try:
-        ServerProxy(uri, transport=_TimeoutTransport()).getPid("/ping")
-    except (OSError, http.client.HTTPException, XmlRpcError, ExpatError) as error:
+        server_proxy(uri).getPid("/ping")
+    except CALL_ERRORS as error:
         return str(error) or type(error).__name__
     return ""
 

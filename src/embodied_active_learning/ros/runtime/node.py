@@ -10,11 +10,12 @@ from typing import Any, Callable
 import rospy
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
+from embodied_active_learning.errors import BusyError, ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.failure import report_failure
 from embodied_active_learning.ros.runtime.handshake import install_handshake_timeout
 from embodied_active_learning.ros.runtime.master import wait_for_master
+from embodied_active_learning.ros.runtime.running_nodes import own_name, require_unused_names
 from embodied_active_learning.ros.runtime.shutdown import ExitCode, ShutdownDeadline, exit_process
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 
@@ -48,8 +49,13 @@ def run_node(
 
 
 def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool) -> ExitCode:
+    wait_for_master()
     try:
-        wait_for_master()
+        require_unused_names([own_name(name)])
+    except BusyError as error:  # not reported as a failure, which would end the other node's run
+        sys.stderr.write(f"{name} not started: {error}\n")
+        return ExitCode.KNOWN_ERROR
+    try:
         install_handshake_timeout()
         rospy.init_node(name)
         show_library_log()
