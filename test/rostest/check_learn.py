@@ -95,7 +95,7 @@ class LearnTest(unittest.TestCase):
         self.assertTrue(0.0 < message.coverage < 1.0)
 
     def test_published_topics_are_neither_empty_nor_constant(self):
-        _, _, (publishers, _, _) = rosgraph.Master(rospy.get_name()).target.getSystemState(rospy.get_name())
+        publishers, _, _ = rosgraph.Master(rospy.get_name()).getSystemState()
         topics = {topic for topic, nodes in publishers if {"/ergodic_planner", "/trainer"} & set(nodes)}
         self.assertEqual(topics - {"/rosout", "/diagnostics"}, {f"/{topic}" for topic in CONTENTS})
         with self.changed:
