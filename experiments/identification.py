@@ -101,7 +101,7 @@ def fingerprints(path: Path) -> FingerprintSet:
     if has_fingerprints(path):
         return load_fingerprints(path)
     run = FingerprintRun(path)
-    print(f"{path.name}: {run.finding}", flush=True)
+    print(f"{path.name}: {run.summary}", flush=True)
     config = load_config(path)
     with Simulation(load_world(config.simulation.world, config.workspace.box()), config) as simulation:
         for collection in run.collections:

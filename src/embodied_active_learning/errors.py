@@ -61,6 +61,10 @@ class BusyError(EmbodiedActiveLearningError):
     """What was asked for can be done only once at a time, and is under way."""
 
 
+class TaskCancelledError(EmbodiedActiveLearningError):
+    """A long task was cancelled by its caller; nothing was stored."""
+
+
 class NoResponseError(CommandError):
     """A motion command was not answered: whether the arm carries it out is not known."""
 

@@ -64,7 +64,7 @@ def test_too_few_stored_views_raise():
     run._config, run._from_stored = CONFIG, True
     run.clustering = SimpleNamespace(clusters=[SimpleNamespace(kind="object")])
     run.collections = [select(*stored(60))]
-    expected = r"object-1: only \d+ of fingerprint/views \(50\) different views are stored within fingerprint/view_box"
+    expected = r"object-1: too few stored views: \d+ of 50 \(fingerprint/views\) within 0.06 m"
     with pytest.raises(ObservationError, match=expected):
         run.require_complete("object-1")
     assert len(select(np.empty((0, 3)), np.empty((0, 2, 3, 3), np.uint8)).states) == 0

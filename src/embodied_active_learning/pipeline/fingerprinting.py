@@ -1,4 +1,4 @@
-"""Fingerprinting one session, without robot or ROS: find the learned objects, plan or choose views, store them."""
+"""Fingerprinting of one session without ROS: cluster, plan or select views, encode and store them."""
 
 from __future__ import annotations
 
@@ -19,19 +19,24 @@ from embodied_active_learning.session.session_model import load_session_model
 
 
 class FingerprintRun:
-    """Finds the learned objects when it is made. Then fill `collections`, each begun at its start, and finish().
+    """Clusters the conditional entropy of a session; then fill `collections` with views and call `finish`.
 
-    Where views are taken from what is stored, collections are filled already, as far as that goes.
+    With stored views, the collections are filled as far as possible.
     """
 
     def __init__(
         self, session_path: Path, settings: Optional[FingerprintConfig] = None, from_stored: bool = False
     ) -> None:
-        """Read the newest model of a session, also while it learns, and cluster its conditional entropy.
+        """Load the newest model of a session, also during training, and cluster its conditional entropy.
 
-        settings: how, if not as the session's own configuration has it. from_stored: views are stored observations,
-        not new ones.
-        Raises SessionError when the session does not exist or has not learned anything, CorruptFileError for damage.
+        Args:
+            session_path: Folder of the session.
+            settings: Settings in place of those of the session's configuration.
+            from_stored: Whether views are selected from stored observations instead of taken by an arm.
+
+        Raises:
+            SessionError: If the session does not exist or has no trained model yet.
+            CorruptFileError: If a file of the session is damaged.
         """
         self._path = Path(session_path)
         session = Session.open_read_only(self._path)
@@ -39,18 +44,18 @@ class FingerprintRun:
         trained = load_session_model(session)
         if trained is None:
             raise SessionError(
-                f"session {session.name} has not learned anything yet: learning begins after "
-                f"training/first_update_at ({self._config.training.first_update_at}) observations; call again later"
+                f"session {session.name} has no trained model yet: training begins after "
+                f"{self._config.training.first_update_at} observations (training/first_update_at); retry later"
             )
         self._trained = trained
         with session.open_observations() as store:
-            seen = store.snapshot()
-        self._observations = len(seen.stamps)
+            stored = store.snapshot()
+        self._observations = len(stored.stamps)
         seed = self._config.exploration.seed
-        self.clustering = find_objects(trained.model, seen.raw_states, seen.images, self._config, seed)
+        self.clustering = find_objects(trained.model, stored.raw_states, stored.images, self._config, seed)
         self._from_stored = from_stored
         self.collections: Sequence[Union[ViewCollection, StoredViews]] = [
-            StoredViews(self._config, cluster.centre, seed, seen.raw_states, seen.images)
+            StoredViews(self._config, cluster.centre, seed, stored.raw_states, stored.images)
             if from_stored
             else ViewCollection(self._config, cluster.centre, seed)
             for cluster in self.clustering.clusters
@@ -58,7 +63,7 @@ class FingerprintRun:
 
     @property
     def names(self) -> List[str]:
-        """The names of the fingerprints to be: object-1, object-2, ... and blank-1."""
+        """Names of the fingerprints: object-1, object-2, ... and blank-1."""
         count = {OBJECT: 0, BLANK: 0}
         names = []
         for cluster in self.clustering.clusters:
@@ -67,49 +72,40 @@ class FingerprintRun:
         return names
 
     @property
-    def nothing_found(self) -> str:
-        """Why there is nothing to take fingerprints of, in words; empty when there is something."""
-        if not self.clustering.flat:
-            return ""
-        return (
-            f"nothing to find: {self._contrast()}, less than fingerprint/min_contrast "
-            f"({self._config.fingerprint.min_contrast:g}); let it learn longer, or put objects on the table"
-        )
-
-    @property
-    def finding(self) -> str:
-        """What was found, in words."""
-        if self.clustering.flat:
-            return self.nothing_found
+    def summary(self) -> str:
+        """Result of the clustering in one sentence."""
         clustering = self.clustering
+        contrast = f"the predicted standard deviation varies by {clustering.contrast:.1f}x over the workspace"
+        if clustering.flat:
+            return (
+                f"no objects found: {contrast}, less than {self._config.fingerprint.min_contrast:g} "
+                "(fingerprint/min_contrast); train longer, or put objects on the table"
+            )
         objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
-        beyond = len(clustering.unreachable)
-        more = f"; {beyond} more out of the camera's reach were left out" if beyond else ""
-        return f"{objects} objects and a blank region: {self._contrast()}{more}"
-
-    def _contrast(self) -> str:
-        return f"the predicted standard deviation varies by {self.clustering.contrast:.1f}x over the workspace"
+        unreachable = len(clustering.unreachable)
+        skipped = f"; skipped {unreachable} more that the camera cannot reach" if unreachable else ""
+        return f"{objects} objects and a blank region: {contrast}{skipped}"
 
     def require_complete(self, name: str) -> None:
-        """Raise ObservationError unless the fingerprint of that name has all its views."""
-        collection = self.collections[self.names.index(name)]
+        """Raise ObservationError if the views of a fingerprint are incomplete."""
+        collection, settings = self.collections[self.names.index(name)], self._config.fingerprint
         if not collection.complete and self._from_stored:
             raise ObservationError(
-                f"{name}: only {len(collection.states)} of fingerprint/views ({self._config.fingerprint.views}) "
-                f"different views are stored within fingerprint/view_box ({self._config.fingerprint.view_box:g} m) of "
-                "it, and nothing was stored: take them with an arm, or ask for fewer views"
+                f"{name}: too few stored views: {len(collection.states)} of {settings.views} (fingerprint/views) "
+                f"within {settings.view_box:g} m (fingerprint/view_box); take them with the arm, or request fewer views"
             )
         if not collection.complete:
             raise ObservationError(
-                f"{name}: only {len(collection.states)} of fingerprint/views ({self._config.fingerprint.views}) "
-                "different views could be taken, nothing was stored: see whether the arm moves, or ask for fewer views"
+                f"{name}: too few different views: {len(collection.states)} of {settings.views} (fingerprint/views); "
+                "check whether the arm moves, or request fewer views"
             )
 
     def finish(self) -> FingerprintSet:
-        """Encode the views of every collection and store the fingerprints, in place of earlier ones.
+        """Encode the views of every collection and store the fingerprints in place of earlier ones.
 
-        Raises ObservationError when a collection is not complete; nothing is stored then. Raises SessionError when the
-        disk fails.
+        Raises:
+            ObservationError: If a collection is incomplete; nothing is stored then.
+            SessionError: If writing fails.
         """
         for name in self.names:
             self.require_complete(name)
@@ -126,6 +122,7 @@ class FingerprintRun:
         return found
 
     def _fingerprints(self) -> Sequence[Fingerprint]:
+        """Encode the views of every collection."""
         fingerprints = []
         for name, cluster, collection in zip(self.names, self.clustering.clusters, self.collections):
             means, stds = self._trained.model.encode(collection.states, collection.images)

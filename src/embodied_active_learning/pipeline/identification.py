@@ -1,4 +1,4 @@
-"""Identifying fingerprints in the images of one session, stored or still growing, without robot or ROS."""
+"""Identification in the images of one session, finished or still running, without ROS."""
 
 from __future__ import annotations
 
@@ -23,35 +23,37 @@ from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import Session, find_session
 
 MOST_SESSIONS = 64
-"""Sessions whose fingerprints are looked for at a time: each has a model that is kept in memory."""
+"""Largest number of sessions whose fingerprints are searched for; each keeps a model in memory."""
 
 _CHUNK = 64
+"""Largest number of images processed by one call of `advance`."""
 
 
 def read_sets(root: Path, sessions: Sequence[str]) -> List[FingerprintSet]:
-    """The fingerprints of sessions below a folder, by name; one that is named twice is read once.
+    """Load the fingerprints of sessions below a folder; each name is loaded once.
 
-    Raises SessionError for a name that is not allowed or unknown, and for none or too many of them.
+    Raises:
+        SessionError: If a name is invalid or unknown, or if there are no names or too many.
     """
     names = list(dict.fromkeys(sessions))
     if not names:
-        raise SessionError("no session was named whose fingerprints are looked for: name one at least")
+        raise SessionError("no sessions given: name at least one session with fingerprints")
     if len(names) > MOST_SESSIONS:
-        raise SessionError(f"{len(names)} sessions were named: name {MOST_SESSIONS} at most")
+        raise SessionError(f"too many sessions: {len(names)} given, at most {MOST_SESSIONS} allowed")
     return [load_fingerprints(find_session(root, name, "one of sessions")) for name in names]
 
 
 def check_results(session_path: Path, name: str, overwrite: bool) -> None:
-    """Raise SessionError unless results may be kept under a name: it is legal, and new or meant to be replaced."""
+    """Raise SessionError if a name is invalid, or if it has results that must not be replaced."""
     if is_identified(session_path, name) and not overwrite:
         folder = identification_folder(session_path, name)
-        raise SessionError(f"there are results in {folder}: choose another name, or ask for overwrite")
+        raise SessionError(f"results exist in {folder}: choose another name, or set overwrite")
 
 
 class IdentificationRun:
-    """Looks for the fingerprints of some sessions in the images of another one, as they come.
+    """Searches for fingerprints in the images of a session, also while it is running.
 
-    The images are read from the session's store: none is lost, a run can be repeated, and others can be tested on them.
+    Images are read from the session's store, so none is skipped and a run can be repeated on the same images.
     """
 
     def __init__(
@@ -62,12 +64,22 @@ class IdentificationRun:
         images: int,
         settings: IdentificationConfig,
         overwrite: bool = False,
+        must_be_stored: bool = False,
     ) -> None:
-        """session_path: whose images are looked at, so many; 0 for all there are. sets: the fingerprints of sessions.
+        """Open the session with the images.
 
-        overwrite: whether earlier results of that name may be replaced.
-        Raises SessionError when there is no such session or nothing to look at, or when the name is taken, ConfigError
-        when cameras differ.
+        Args:
+            session_path: Folder of the session with the images.
+            sets: The fingerprints to search for.
+            name: Name of the results.
+            images: Number of images to process; 0 for all that are stored.
+            settings: How to search and decide.
+            overwrite: Whether results of the same name may be replaced.
+            must_be_stored: Whether all images must be stored already, because the session is not running.
+
+        Raises:
+            SessionError: If the session does not exist or has too few images, or if the name is in use.
+            ConfigError: If the cameras differ.
         """
         self._path = Path(session_path)
         check_results(self._path, name, overwrite)
@@ -83,60 +95,72 @@ class IdentificationRun:
         if self.images < 1:
             self.close()
             raise SessionError(
-                f"there are no images to look at: {self._path} holds {self.stored}, {images} were asked for; give a "
-                "number from 1, or 0 for all"
+                f"no images: {images} requested, {self._path} has {self.stored}; request at least 1, or 0 for all"
+            )
+        if must_be_stored and self.images > self.stored:
+            self.close()
+            raise SessionError(
+                f"too few images: {images} requested, session {self._path.name} has {self.stored}; request fewer, or 0 "
+                "for all"
             )
 
     @property
     def config(self) -> Config:
-        """The configuration that the images were taken with."""
+        """Configuration of the session with the images."""
         return self._session.config
 
     @property
     def stored(self) -> int:
-        """Images that were stored when last looked for."""
+        """Number of stored images at the last refresh."""
         return len(self._store)
 
     @property
-    def looked_at(self) -> int:
-        """Images looked at."""
+    def processed(self) -> int:
+        """Number of processed images."""
         return self.identification.images
 
     @property
     def complete(self) -> bool:
-        """Whether all images were looked at."""
-        return self.looked_at >= self.images
+        """Whether all images are processed."""
+        return self.processed >= self.images
 
     @property
     def states(self) -> np.ndarray:
-        """(N, 3) m, m, rad: where the images were taken that were looked at."""
-        return self._store.raw_states[: self.looked_at]
+        """(N, 3) camera states [m, m, rad] of the processed images."""
+        return self._store.raw_states[: self.processed]
 
     @property
     def pictures(self) -> np.ndarray:
-        """(N, H, W, 3) uint8: the images that were looked at."""
-        return self._store.images[: self.looked_at]
+        """(N, H, W, 3) uint8, the processed images."""
+        return self._store.images[: self.processed]
 
     def advance(self) -> int:
-        """Look at the next images, a few at most -> how many. 0 when no new ones were stored.
+        """Process the next stored images. Return their number; 0 if there are no new ones.
 
-        Raises CorruptFileError for a damaged store.
+        Raises:
+            CorruptFileError: If the store is damaged.
         """
-        if len(self._store) == self.looked_at:
+        if len(self._store) == self.processed:
             self._store.refresh()
-        part = slice(self.looked_at, min(self.looked_at + _CHUNK, self.images, len(self._store)))
+        part = slice(self.processed, min(self.processed + _CHUNK, self.images, len(self._store)))
         states, images = self._store.raw_states[part], self._store.images[part]
         self.identification.observe(states, images)
         return len(states)
 
     def decide(self) -> List[Decision]:
-        """Decide for every fingerprint by what was looked at so far."""
+        """Decide for every fingerprint from the images processed so far."""
         return self.identification.decide(self.states, self.pictures)
 
     def save(self, decisions: Sequence[Decision]) -> Path:
-        """Store decisions, beliefs and trace -> the folder. Raises SessionError when the disk fails."""
+        """Store decisions, beliefs and traces. Return the folder. Raises SessionError if writing fails."""
         return save_identification(self._path, self._name, self.identification, decisions)
 
     def close(self) -> None:
         """Close the store's file."""
         self._store.close()
+
+    def __enter__(self) -> IdentificationRun:
+        return self
+
+    def __exit__(self, *_details: object) -> None:
+        self.close()

@@ -53,6 +53,7 @@ IDENTIFY = "identify"
 BELIEFS = "beliefs"
 BELIEF_GRIDS = "belief_grids"
 DECISION_MARKERS = "decision_markers"
+FOUND_OBJECTS = "found_objects"
 
 # In recorded bags only: the configuration of the run as YAML.
 RUN_CONFIG = "run_config"

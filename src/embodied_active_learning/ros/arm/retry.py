@@ -38,10 +38,16 @@ class RetryPolicy:
         self._timeout = math.inf if timeout is None else timeout
         self._deadline = math.inf
         self._failures = 0
+        self._cancelled = False
 
     def begin_call(self) -> None:
         """Start the timeout of a call."""
+        self._cancelled = False
         self._deadline = time.monotonic() + self._timeout
+
+    def cancel(self) -> None:
+        """Retry nothing until the next call begins."""
+        self._cancelled = True
 
     def reset(self) -> None:
         """Forget the failures: the arm has carried out a command."""
@@ -49,6 +55,8 @@ class RetryPolicy:
 
     def after(self, error: EmbodiedActiveLearningError) -> Retry:
         """Return the retry after a failure. Raises the error instead if it is not retried any more."""
+        if self._cancelled:
+            raise error
         pause, message = RETRY_PERIOD, str(error)
         if not isinstance(error, UNCOUNTED):
             self._failures += 1

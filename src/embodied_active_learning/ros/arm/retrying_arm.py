@@ -188,6 +188,17 @@ class RetryingArm:
         except FutureTimeoutError as error:
             raise CommandError(f"the arm has not responded within {timeout:g} s") from error
 
+    def cancel(self) -> None:
+        """Stop the command in progress, so that the current call raises its error without a retry; from any thread."""
+        self._retry.cancel()
+        try:
+            # Not behind the lock, which the command in progress holds. A stop by another node than the commander would
+            # be an emergency stop.
+            if self.in_control and self._arm.heartbeat():
+                self._arm.stop()
+        except CommandError as error:
+            rospy.logwarn("stop not confirmed: %s", error)
+
     def pause(self, waiting_for: str) -> bool:
         """Hold back all further commands -> False if they were held back already.
 

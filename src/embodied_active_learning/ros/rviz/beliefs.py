@@ -1,4 +1,4 @@
-"""What the identifier tells: beliefs as messages, and grids and markers for rviz."""
+"""Publishes beliefs and decisions as messages, and as grids and markers for rviz."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import rospy
 from nav_msgs.msg import OccupancyGrid
 from scipy.interpolate import RegularGridInterpolator
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from embodied_active_learning.msg import Belief, BeliefArray
@@ -20,62 +20,84 @@ from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import occupancy_grid_message
-from embodied_active_learning.ros.rviz.fingerprints import BLANK_COLOUR, disc_marker, label_marker
+from embodied_active_learning.ros.objects.found_objects import FoundObjects
+from embodied_active_learning.ros.rviz.markers import BLANK_COLOUR, FOUND_COLOUR, disc_marker, label_marker
 
-FOUND_COLOUR = ColorRGBA(0.1, 0.7, 0.2, 0.6)
+_LEAST_RANGE = 0.05
+"""Smallest range of the grids: small variations of flat beliefs do not look like peaks."""
 
 
 class RvizBeliefs:
-    """Publishes beliefs while somebody looks, and the last ones always; latched."""
+    """Latched publishers of beliefs and decisions; beliefs on the way are published for subscribers only."""
 
     def __init__(self) -> None:
+        """Advertise the topics; those of the grids once their fingerprints are known."""
         self._beliefs = rospy.Publisher(names.BELIEFS, BeliefArray, queue_size=1, latch=True)
         self._markers = rospy.Publisher(names.DECISION_MARKERS, MarkerArray, queue_size=1, latch=True)
+        self._found = FoundObjects()
         self._grids: Dict[str, rospy.Publisher] = {}
 
-    def publish(
-        self, sought: Sequence[SearchTarget], images: int, decisions: Sequence[Decision], finished: bool
-    ) -> None:
-        """Publish what is believed after so many images; decisions are empty before all are looked at."""
-        stamp = rospy.Time.now()
-        for item in sought:
-            publisher = self._grid_publisher(item)
-            if finished or publisher.get_num_connections():
-                publisher.publish(grid_message(stamp, item.grid))
-        if finished or self._beliefs.get_num_connections():
-            header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
-            beliefs = [belief_message(item, decisions) for item in sought]
-            self._beliefs.publish(BeliefArray(header, images, finished, beliefs))
-        if finished:
-            self._markers.publish(decision_markers(stamp, decisions))
+    def publish_beliefs(self, targets: Sequence[SearchTarget], images: int) -> None:
+        """Publish the beliefs after a number of images, on topics with subscribers."""
+        self._publish_grids(targets, always=False)
+        if self._beliefs.get_num_connections():
+            self._publish_array(targets, images, (), finished=False)
 
-    def _grid_publisher(self, item: SearchTarget) -> rospy.Publisher:
-        parts = (re.sub("[^a-zA-Z0-9]", "_", part) for part in (item.session, item.fingerprint.name))
-        # A name in ROS begins with a letter, that of a session may begin with a digit.
+    def publish_result(self, targets: Sequence[SearchTarget], images: int, decisions: Sequence[Decision]) -> None:
+        """Publish the final beliefs and the decisions."""
+        self._publish_grids(targets, always=True)
+        self._publish_array(targets, images, decisions, finished=True)
+        self._markers.publish(decision_markers(rospy.Time.now(), decisions))
+        self._found.publish(decisions)
+
+    def _publish_array(
+        self, targets: Sequence[SearchTarget], images: int, decisions: Sequence[Decision], finished: bool
+    ) -> None:
+        """Publish all beliefs in one message."""
+        header = Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME)
+        beliefs = [belief_message(target, decisions) for target in targets]
+        self._beliefs.publish(BeliefArray(header, images, finished, beliefs))
+
+    def _publish_grids(self, targets: Sequence[SearchTarget], always: bool) -> None:
+        """Publish a grid per target, all with the same scale."""
+        publishers = [self._grid_publisher(target) for target in targets]
+        shown = [pair for pair in zip(targets, publishers) if always or pair[1].get_num_connections()]
+        if not shown:
+            return
+        stamp = rospy.Time.now()
+        scale = max([_LEAST_RANGE, *(float(prominence(target.grid).max()) for target in targets)])
+        for target, publisher in shown:
+            publisher.publish(grid_message(stamp, target.grid, scale))
+
+    def _grid_publisher(self, target: SearchTarget) -> rospy.Publisher:
+        """Publisher of a target's grid."""
+        parts = (re.sub("[^a-zA-Z0-9]", "_", part) for part in (target.session, target.fingerprint.name))
+        # ROS names begin with a letter; names of sessions may begin with a digit.
         topic = "/".join([names.BELIEF_GRIDS, *(part if part[0].isalpha() else f"s{part}" for part in parts)])
         if topic not in self._grids:
             self._grids[topic] = rospy.Publisher(topic, OccupancyGrid, queue_size=1, latch=True)
         return self._grids[topic]
 
 
-def belief_message(item: SearchTarget, decisions: Sequence[Decision]) -> Belief:
-    """The belief about one fingerprint, and what was decided about it."""
-    grid = item.grid
+def belief_message(target: SearchTarget, decisions: Sequence[Decision]) -> Belief:
+    """Return the belief of one fingerprint and the decisions about it."""
+    grid = target.grid
     axes = (grid.x, grid.y, grid.yaw)
+    own = decisions_about(decisions, target.session, target.fingerprint.name)
     return Belief(
-        item.session,
-        item.fingerprint.name,
-        [len(axis) for axis in axes],
-        [float(axis[0]) for axis in axes],
-        [float(axis[1] - axis[0]) for axis in axes],
-        grid.mean.astype(np.float32).ravel(),
-        grid.std.astype(np.float32).ravel(),
-        [decision_message(decision) for decision in decisions_about(decisions, item.session, item.fingerprint.name)],
+        session=target.session,
+        fingerprint=target.fingerprint.name,
+        shape=[len(axis) for axis in axes],
+        lower=[float(axis[0]) for axis in axes],
+        step=[float(axis[1] - axis[0]) for axis in axes],
+        mean=grid.mean.astype(np.float32).ravel(),
+        std=grid.std.astype(np.float32).ravel(),
+        decisions=[decision_message(decision) for decision in own],
     )
 
 
 def decision_message(decision: Decision) -> DecisionMessage:
-    """A decision as a message."""
+    """Return a decision as a message."""
     x, y, theta = map(float, decision.pose)
     return DecisionMessage(
         session=decision.session,
@@ -95,15 +117,18 @@ def decision_message(decision: Decision) -> DecisionMessage:
     )
 
 
-def grid_message(stamp: rospy.Time, grid: BeliefGrid) -> OccupancyGrid:
-    """The largest mean over yaw at each place, stretched from its median, 0, to its maximum, 100.
-
-    The differences that matter are a few hundredths of a belief: unstretched, nothing would be seen. An occupancy grid
-    has square cells, so a grid whose cells are not is interpolated.
-    """
+def prominence(grid: BeliefGrid) -> np.ndarray:
+    """Return the largest mean over yaw above its median (nx, ny)."""
     values, _ = grid.over_yaw()
-    low, high = float(np.median(values)), float(values.max())
-    shown = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0)
+    return values - np.median(values)
+
+
+def grid_message(stamp: rospy.Time, grid: BeliefGrid, scale: float) -> OccupancyGrid:
+    """Return the prominence of a belief as an occupancy grid: 0 at the median of the map and below, 100 at `scale`.
+
+    An occupancy grid has square cells, so a belief with other cells is interpolated.
+    """
+    shown = np.clip(prominence(grid) / scale, 0.0, 1.0)
     cell = float(min(grid.x[1] - grid.x[0], grid.y[1] - grid.y[0]))
     x, y = (np.arange(axis[0], axis[-1] + 0.5 * cell, cell) for axis in (grid.x, grid.y))
     points = np.stack(np.meshgrid(x.clip(grid.x[0], grid.x[-1]), y.clip(grid.y[0], grid.y[-1]), indexing="ij"), axis=-1)
@@ -111,7 +136,7 @@ def grid_message(stamp: rospy.Time, grid: BeliefGrid) -> OccupancyGrid:
 
 
 def decision_markers(stamp: rospy.Time, decisions: Sequence[Decision]) -> MarkerArray:
-    """A disc and a text for each place where something was found, in place of all earlier markers."""
+    """Return a disc and a text for each place where an object was found; earlier markers are deleted."""
     markers: List[Marker] = [Marker(action=Marker.DELETEALL)]
     for number, decision in enumerate(item for item in decisions if item.found):
         colour = BLANK_COLOUR if decision.kind == BLANK else FOUND_COLOUR

@@ -1,0 +1,55 @@
+"""Found objects as standard messages: a pose array and a tf frame for each."""
+
+from __future__ import annotations
+
+import math
+from typing import List, Sequence
+
+import rospy
+from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion, Transform, TransformStamped, Vector3
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.ros import names
+
+
+class FoundObjects:
+    """Latched publishers of the poses of found objects.
+
+    A subscriber to tf keeps the frames of an earlier identification until it restarts; new subscribers get the frames
+    of the last one.
+    """
+
+    def __init__(self) -> None:
+        """Advertise the topics."""
+        self._poses = rospy.Publisher(names.FOUND_OBJECTS, PoseArray, queue_size=1, latch=True)
+        # Not a StaticTransformBroadcaster, which would repeat the frames of earlier identifications.
+        self._frames = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
+
+    def publish(self, decisions: Sequence[Decision]) -> None:
+        """Publish all found objects; blanks are left out."""
+        found = found_objects(decisions)
+        header = Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME)
+        self._poses.publish(PoseArray(header, [pose_message(decision) for decision in found]))
+        self._frames.publish(TFMessage([frame_message(header, decision) for decision in found]))
+
+
+def found_objects(decisions: Sequence[Decision]) -> List[Decision]:
+    """Return the decisions with a found object, without blanks."""
+    return [decision for decision in decisions if decision.found and decision.kind != BLANK]
+
+
+def pose_message(decision: Decision) -> Pose:
+    """Return the pose of a decision on the table."""
+    x, y, theta = map(float, decision.pose)
+    return Pose(Point(x, y, 0.0), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)))
+
+
+def frame_message(header: Header, decision: Decision) -> TransformStamped:
+    """Return the tf frame `found/<session>/<fingerprint>/<instance>` of a decision."""
+    pose = pose_message(decision)
+    frame = f"found/{decision.session}/{decision.fingerprint}/{decision.instance}"
+    position = Vector3(pose.position.x, pose.position.y, pose.position.z)
+    return TransformStamped(header, frame, Transform(position, pose.orientation))

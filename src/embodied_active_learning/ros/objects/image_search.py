@@ -1,0 +1,100 @@
+"""Runs an identification over the images of a session while they are stored."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import List
+
+import rospy
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.pipeline.identification import IdentificationRun, read_sets
+from embodied_active_learning.ros.runtime.diagnostics import Rate
+from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
+from embodied_active_learning.ros.runtime.task_server import Progress
+from embodied_active_learning.ros.rviz.beliefs import RvizBeliefs
+from embodied_active_learning.session.observations import DATA_FILE
+from embodied_active_learning.session.paths import SessionPaths
+from embodied_active_learning.session.session import find_session, session_path, session_root
+
+_PUBLISH_PERIOD = 2.0  # wall seconds
+_LOG_PERIOD = 5.0  # wall seconds
+_POLL_PERIOD = 0.1
+"""Wall seconds between checks for new images."""
+
+
+class ImageSearch:
+    """Searches for fingerprints in every image of a session; none is skipped, because they are read from its store."""
+
+    def __init__(self, config: Config) -> None:
+        """Use the session root, the running session and the identification settings of a configuration."""
+        self._config = config
+        self._root = session_root(config)
+        self._outputs = RvizBeliefs()
+        self.images = Rate()
+
+    def open_run(
+        self, name: str, sessions: List[str], images: int, replay: str, overwrite: bool, progress: Progress
+    ) -> IdentificationRun:
+        """Read the fingerprints and open the session with the images; wait for the first image of a running one.
+
+        Raises:
+            SessionError: If a session does not exist or has too few images, or if the name is in use.
+        """
+        progress.report("reading fingerprints")
+        sets = read_sets(self._root, sessions)
+        if replay:
+            path, wanted = find_session(self._root, replay, "replay"), images
+        else:
+            path, wanted = self._running_session(images, progress), images or self._config.exploration.steps
+        return IdentificationRun(
+            path, sets, name, wanted, self._config.identification, overwrite, must_be_stored=bool(replay)
+        )
+
+    def search(self, run: IdentificationRun, progress: Progress) -> List[Decision]:
+        """Process all images, decide, store the results, and publish them."""
+        self._process_images(run, progress)
+        progress.report("deciding")
+        rospy.loginfo("all %d images processed; deciding", run.images)
+        decisions = run.decide()
+        progress.check()
+        run.save(decisions)
+        self._outputs.publish_result(run.identification.targets, run.processed, decisions)
+        return decisions
+
+    def _running_session(self, images: int, progress: Progress) -> Path:
+        """Return the folder of the running session once it has an image."""
+        path, steps = session_path(self._config), self._config.exploration.steps
+        if images > steps:
+            raise SessionError(
+                f"too few images: {images} requested, but the run ends after {steps} (exploration/steps); request at "
+                f"most {steps}"
+            )
+        first = SessionPaths(path).observations / DATA_FILE
+
+        def has_image() -> bool:
+            progress.check()
+            return first.is_file()
+
+        wait_until(has_image, lambda: f"the first image of {path}")
+        return path
+
+    def _process_images(self, run: IdentificationRun, progress: Progress) -> None:
+        """Process images until the run is complete; log and publish the beliefs periodically."""
+        publish_at = log_at = time.monotonic() + _POLL_PERIOD
+        while not run.complete:
+            count = run.advance()
+            if count:
+                self.images.tick(count)
+            wall_sleep(0.0 if count else _POLL_PERIOD)
+            progress.report("searching", run.processed, run.images)
+            if time.monotonic() >= log_at:
+                targets = len(run.identification.targets)
+                rospy.loginfo("searching for %d fingerprints: image %d of %d", targets, run.processed, run.images)
+                log_at = time.monotonic() + _LOG_PERIOD
+            if time.monotonic() >= publish_at:
+                self._outputs.publish_beliefs(run.identification.targets, run.processed)
+                publish_at = time.monotonic() + _PUBLISH_PERIOD

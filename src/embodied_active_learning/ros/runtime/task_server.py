@@ -1,0 +1,161 @@
+"""A long task offered as a service and as an action: one call at a time, with progress, cancelled by its caller.
+
+The action has feedback and a cancel request. A call of the service is cancelled when its caller disconnects, for
+example by Ctrl-C in `rosservice call`.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+from contextlib import contextmanager
+from typing import Any, Callable, Dict, Iterator, Optional
+
+import actionlib
+import rospy
+
+from embodied_active_learning.errors import EmbodiedActiveLearningError, TaskCancelledError
+from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
+from embodied_active_learning.ros.runtime.node import ShutdownRequestedError
+from embodied_active_learning.ros.runtime.services import advertise_service
+
+_POLL_PERIOD = 0.1
+"""Wall seconds between checks whether a task was cancelled, during `when_cancelled`."""
+
+
+class Progress:
+    """Progress of a running task."""
+
+    def __init__(
+        self,
+        task: ExclusiveTask,
+        is_cancelled: Callable[[], bool] = lambda: False,
+        publish: Callable[[str, int, int], None] = lambda phase, done, total: None,
+    ) -> None:
+        """Report to a task's status, and to `publish(phase, done, total)`."""
+        self._task = task
+        self._is_cancelled = is_cancelled
+        self._publish = publish
+
+    def report(self, phase: str, done: int = 0, total: int = 0) -> None:
+        """Set the current phase and how much of it is done. Raises TaskCancelledError if the task was cancelled."""
+        self._task.status = f"{phase}: {done} of {total}" if total else phase
+        self._publish(phase, done, total)
+        self.check()
+
+    def check(self) -> None:
+        """Raise TaskCancelledError if the task was cancelled."""
+        if self._is_cancelled():
+            raise TaskCancelledError("cancelled by the caller: nothing was stored")
+
+    @contextmanager
+    def when_cancelled(self, callback: Callable[[], None]) -> Iterator[None]:
+        """Call callback() from another thread while the task is cancelled but the block has not ended."""
+        ended = threading.Event()
+
+        def watch() -> None:
+            while not ended.wait(_POLL_PERIOD):
+                if self._is_cancelled():
+                    callback()
+
+        thread = threading.Thread(target=watch, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+
+Run = Callable[[Any, Progress], Dict[str, Any]]
+"""Runs the task for a request or goal and returns the fields of the response or result."""
+
+
+class TaskServer:
+    """Serves one task under one name, as a service and as an action with the same fields."""
+
+    def __init__(self, name: str, service_class: Any, action_class: Any, task: ExclusiveTask, run: Run) -> None:
+        """Offer the service and the action.
+
+        Args:
+            name: Name of the service and of the action.
+            service_class: Its response has the fields of the action's result, and `success`.
+            action_class: Its result has a field `message`; its feedback has `phase`, `done` and `total`.
+            task: Rejects a call while another one is running.
+            run: The task. Its EmbodiedActiveLearningErrors become responses without success.
+        """
+        self._task = task
+        self._run = run
+        self._service_class = service_class
+        self._action_class = action_class
+        self._cancelled: Dict[str, threading.Event] = {}
+        self._caller = threading.local()
+        service = advertise_service(name, service_class, self._serve)
+        self._keep_connection(service)
+        self._actions = actionlib.ActionServer(name, action_class, self._accept, self._cancel, auto_start=False)
+        self._actions.start()
+
+    def _keep_connection(self, service: Any) -> None:
+        """Keep the connection of each call: rospy does not pass it to the handler."""
+        handle = service._handle_request
+
+        def handle_with_connection(transport: Any, request: Any) -> None:
+            self._caller.socket = transport.socket
+            handle(transport, request)
+
+        service._handle_request = handle_with_connection
+
+    def _serve(self, request: Any) -> Any:
+        """Handle a call of the service."""
+        connection: Optional[socket.socket] = getattr(self._caller, "socket", None)
+        with self._task.call():
+            progress = Progress(self._task, lambda: connection is not None and not is_connected(connection))
+            return self._service_class._response_class(success=True, **self._run(request, progress))
+
+    def _accept(self, handle: Any) -> None:
+        """Start a goal in a thread of its own."""
+        self._cancelled[handle.get_goal_id().id] = threading.Event()
+        handle.set_accepted()
+        threading.Thread(target=self._execute, args=(handle,), daemon=True).start()
+
+    def _cancel(self, handle: Any) -> None:
+        """Request the cancellation of a goal."""
+        event = self._cancelled.get(handle.get_goal_id().id)
+        if event is not None:
+            event.set()
+
+    def _execute(self, handle: Any) -> None:
+        """Run a goal to its end and publish the result."""
+        identifier = handle.get_goal_id().id
+        message = self._action_class()
+        make_feedback, make_result = type(message.action_feedback.feedback), type(message.action_result.result)
+
+        def publish(phase: str, done: int, total: int) -> None:
+            handle.publish_feedback(make_feedback(phase, done, total))
+
+        try:
+            with self._task.call():
+                progress = Progress(self._task, self._cancelled[identifier].is_set, publish)
+                fields = self._run(handle.get_goal(), progress)
+            handle.set_succeeded(make_result(**fields), fields["message"])
+        except TaskCancelledError as error:
+            rospy.loginfo("%s: %s", identifier, error)
+            handle.set_canceled(make_result(message=str(error)), str(error))
+        except EmbodiedActiveLearningError as error:
+            rospy.logwarn("%s failed: %s", identifier, error)
+            handle.set_aborted(make_result(message=str(error)), str(error))
+        except ShutdownRequestedError:
+            handle.set_aborted(make_result(message="the node is shutting down"), "the node is shutting down")
+        finally:
+            del self._cancelled[identifier]
+
+
+def is_connected(connection: socket.socket) -> bool:
+    """Return whether the other end of a connection has not closed it; data of a next request is not read."""
+    poll = select.poll()
+    poll.register(connection, select.POLLIN)
+    try:
+        return not poll.poll(0) or bool(connection.recv(1, socket.MSG_PEEK))
+    except OSError:
+        return False
