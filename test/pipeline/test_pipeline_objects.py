@@ -1,7 +1,6 @@
 """Fingerprinting and identification through launch files, services and actions, with a small model."""
 
 import math
-import signal
 import subprocess
 import sys
 import threading
@@ -175,14 +174,21 @@ def test_cancelled_action_stops_arm_and_keeps_fingerprints(fingerprinted):
     assert_arm_at_rest(fingerprinted)
 
 
-def test_interrupted_service_caller_cancels_fingerprinting(fingerprinted):
+@pytest.mark.parametrize("cancel", ["kill", "publish"])
+def test_service_call_is_cancelled_by_death_of_caller_or_topic(fingerprinted, cancel):
     before = load_fingerprints(fingerprinted.path).created
     tens, twenties = (fingerprinted.log().count(f"view {count} of 40") for count in (10, 20))
-    caller = subprocess.Popen(["rosservice", "call", "/fingerprint"], env=fingerprinted.variables)
+    command = ["rosservice", "call", "/fingerprint"]
+    caller = subprocess.Popen(command, env=fingerprinted.variables, stdout=subprocess.PIPE, text=True)
     fingerprinted.wait_for(lambda: fingerprinted.log().count("view 10 of 40") > tens)
-    caller.send_signal(signal.SIGINT)
-    caller.wait(30)
-    fingerprinted.wait_for(lambda: "cancelled by the caller" in fingerprinted.log())
+    if cancel == "kill":
+        caller.kill()
+        fingerprinted.wait_for(lambda: "fingerprint failed: cancelled by the caller" in fingerprinted.log())
+    else:
+        publish = ["rostopic", "pub", "-1", "/fingerprint/cancel", "actionlib_msgs/GoalID", "{}"]
+        subprocess.run(publish, env=fingerprinted.variables, check=True, timeout=60)
+        assert "cancelled by the caller" in caller.communicate(timeout=60)[0]
+    caller.wait(60)
     assert fingerprinted.log().count("view 20 of 40") == twenties
     assert load_fingerprints(fingerprinted.path).created == before
     assert_arm_at_rest(fingerprinted)

@@ -1,7 +1,8 @@
 """A long task offered as a service and as an action: one call at a time, with progress, cancelled by its caller.
 
-The action has feedback and a cancel request. A call of the service is cancelled when its caller disconnects, for
-example by Ctrl-C in `rosservice call`.
+The action has feedback and a cancel request. A call of the service is cancelled if its caller dies, or by a request to
+cancel all goals: `rostopic pub -1 /fingerprint/cancel actionlib_msgs/GoalID {}`. Ctrl-C in `rosservice call` is not
+enough: rospy goes on waiting for the response.
 """
 
 from __future__ import annotations
@@ -10,10 +11,11 @@ import select
 import socket
 import threading
 from contextlib import contextmanager
-from typing import Any, Callable, Dict, Iterator, Optional
+from typing import Any, Callable, Dict, Iterator
 
 import actionlib
 import rospy
+from actionlib_msgs.msg import GoalID
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, TaskCancelledError
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
@@ -91,10 +93,12 @@ class TaskServer:
         self._action_class = action_class
         self._cancelled: Dict[str, threading.Event] = {}
         self._caller = threading.local()
+        self._service_cancelled = threading.Event()
         service = advertise_service(name, service_class, self._serve)
         self._keep_connection(service)
         self._actions = actionlib.ActionServer(name, action_class, self._accept, self._cancel, auto_start=False)
         self._actions.start()
+        rospy.Subscriber(f"{name}/cancel", GoalID, self._cancel_service, queue_size=10)
 
     def _keep_connection(self, service: Any) -> None:
         """Keep the connection of each call: rospy does not pass it to the handler."""
@@ -108,10 +112,16 @@ class TaskServer:
 
     def _serve(self, request: Any) -> Any:
         """Handle a call of the service."""
-        connection: Optional[socket.socket] = getattr(self._caller, "socket", None)
+        connection: socket.socket = self._caller.socket
         with self._task.call():
-            progress = Progress(self._task, lambda: connection is not None and not is_connected(connection))
+            self._service_cancelled.clear()
+            progress = Progress(self._task, lambda: self._service_cancelled.is_set() or not is_connected(connection))
             return self._service_class._response_class(success=True, **self._run(request, progress))
+
+    def _cancel_service(self, message: GoalID) -> None:
+        """Cancel a call of the service when all goals are cancelled."""
+        if not message.id and message.stamp.is_zero():
+            self._service_cancelled.set()
 
     def _accept(self, handle: Any) -> None:
         """Start a goal in a thread of its own."""
