@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Mapping, Union
 
 from embodied_active_learning.config import Config, SessionConfig
-from embodied_active_learning.errors import ConfigError, ObservationError, SessionError
+from embodied_active_learning.errors import ConfigError, ObservationError
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
@@ -67,8 +67,8 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
     values["fingerprint"].update(settings_)
     config = Config.from_dict(values)
     run = FingerprintRun(found.paths.path, config.fingerprint, from_stored)
-    if run.nothing_found:
-        raise ObservationError(run.nothing_found)
+    if run.clustering.flat:
+        raise ObservationError(run.summary)
     if not from_stored:
         _collect_views(run, config)
     return run.finish()
@@ -102,16 +102,11 @@ def identify(
     values["identification"].update(settings_)
     section = Config.from_dict(values).identification
     name = name or time.strftime("%Y%m%d-%H%M%S")
-    run = IdentificationRun(searched.paths.path, sets, name, images, section, overwrite)
-    try:
-        if run.images > run.stored:
-            raise SessionError(f"session {searched.name} has only {run.stored} images: ask for fewer than {run.images}")
+    with IdentificationRun(searched.paths.path, sets, name, images, section, overwrite, must_be_stored=True) as run:
         while not run.complete:
             run.advance()
         decisions = run.decide()
         run.save(decisions)
-    finally:
-        run.close()
     return decisions
 
 
