@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Callable, Optional
+from collections import deque
+from typing import Callable, Deque, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -37,6 +38,8 @@ class FakeUsbCam:
         self._images = rospy.Publisher("usb_cam/image_raw", Image, queue_size=1)
         self._compressed = rospy.Publisher("usb_cam/image_raw/compressed", CompressedImage, queue_size=1)
         self._info = rospy.Publisher("usb_cam/camera_info", CameraInfo, queue_size=1)
+        self._delayed: Deque[Tuple[rospy.Time, np.ndarray]] = deque()
+        self._latency = rospy.Duration(float(rospy.get_param("~latency", 0.0)))
         rate = float(rospy.get_param("~framerate", 15.0))
         Every(lambda: rate, self.publish)
 
@@ -44,7 +47,11 @@ class FakeUsbCam:
         """Publish an image, stamped ~latency after the camera was at the pose it shows."""
         if self.is_silent or not self._computer.is_alive:
             return
-        stamp, pose = rospy.Time.now(), self._pose()
+        now = rospy.Time.now()
+        self._delayed.append((now + self._latency, self._pose()))
+        if self._delayed[0][0] > now:
+            return
+        stamp, pose = self._delayed.popleft()
         if self._frame is None or not self.is_frozen:
             self._frame = self._camera.frame(pose)
         height, width, _ = self._frame.shape

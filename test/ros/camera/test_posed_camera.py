@@ -398,3 +398,16 @@ def test_state_is_not_interpolated_across_clock_reset(scene):
     scene.now = 99.99
     scene.sees()
     check_rejected(scene, "the newest is 0.01 s older than the image")
+
+
+def test_latency_pairs_image_with_pose_of_its_exposure():
+    """The stamp is late by camera/latency; freshness counts from the exposure."""
+    scene = Scene(latency=0.2, max_age=0.6)
+    for x in (0.400, 0.401, 0.402):
+        scene.step((x, 0.0, 0.0))
+    stamp, _, state = scene.take(after=scene.now - 0.3)
+    assert stamp.to_sec() == pytest.approx(scene.now - 0.2)
+    assert state.x == pytest.approx(0.4016)
+    scene.sees()
+    with pytest.raises(ObservationError):
+        scene.take(after=scene.now - 0.1)

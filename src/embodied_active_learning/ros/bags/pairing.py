@@ -13,7 +13,7 @@ from embodied_active_learning.config import CameraConfig, Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.images import Framing, decode_raw
 from embodied_active_learning.msg import PlanarState
-from embodied_active_learning.ros.camera.image_buffer import STILL_DISTANCE, STILL_TURN, ImageBuffer
+from embodied_active_learning.ros.camera.image_buffer import STILL_DISTANCE, STILL_TURN, ImageBuffer, exposure_stamp
 from embodied_active_learning.ros.camera.pose_buffer import CAPACITY, PoseBuffer, moved
 from embodied_active_learning.ros.conversions import image_message, state_arrays
 
@@ -54,6 +54,7 @@ class RecordedPairs:
         if image.header.stamp.is_zero():
             self.rejected["the images have no time stamp (header.stamp is 0); record a camera driver that sets it"] += 1
             return iter(())
+        image.header.stamp = exposure_stamp(image.header.stamp, self._camera.latency)
         self._waiting.append(image)
         return self._pairs()
 

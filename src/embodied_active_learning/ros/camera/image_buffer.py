@@ -26,6 +26,11 @@ FROZEN_ATTEMPTS = 3
 """Consecutive attempts with a repeated image, the arm at rest between them, before the camera is reported as frozen."""
 
 
+def exposure_stamp(stamp: rospy.Time, latency: float) -> rospy.Time:
+    """Return the time of an image's exposure for its stamp and camera/latency [s]; a zero stamp stays zero."""
+    return rospy.Time.from_sec(max(stamp.to_sec() - latency, 0.0)) if latency > 0.0 else stamp
+
+
 class ImageBuffer:
     """Stores the newest image, and the state from which its content was first seen.
 

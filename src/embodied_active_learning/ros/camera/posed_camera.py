@@ -13,7 +13,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.camera.image_buffer import ImageBuffer
+from embodied_active_learning.ros.camera.image_buffer import ImageBuffer, exposure_stamp
 from embodied_active_learning.ros.camera.pose_buffer import CAPACITY, PoseBuffer
 from embodied_active_learning.ros.runtime.node import ShutdownRequestedError
 
@@ -23,6 +23,7 @@ class PosedCamera:
 
     def __init__(self, config: Config, clock: Callable[[], rospy.Time] = rospy.Time.now) -> None:
         self._max_age = config.camera.max_age
+        self._latency = config.camera.latency
         self._clock = clock
         self._condition = threading.Condition()
         self._poses = PoseBuffer(config)
@@ -56,7 +57,8 @@ class PosedCamera:
             self._condition.notify_all()
 
     def add_image(self, message: Image) -> None:
-        """Store an image."""
+        """Store an image with its stamp corrected by camera/latency."""
+        message.header.stamp = exposure_stamp(message.header.stamp, self._latency)
         with self._condition:
             self._images.add(message, self._clock())
             self._condition.notify_all()
@@ -65,7 +67,7 @@ class PosedCamera:
         """Wait for an image taken at or after a time, up to camera/max_age of wall time.
 
         Returns:
-            The image as published by the camera, and the state at its stamp.
+            The image with the stamp of its exposure, and the state at that time.
 
         Raises:
             ObservationError: No valid pair arrived in time; the message has the reason.
