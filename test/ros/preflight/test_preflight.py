@@ -355,3 +355,19 @@ def test_missing_services_are_named():
     assert computer.check_advertised(["/arm/move", "/x"], *arguments).level is Level.OK
     result = computer.check_advertised(["/x"], *arguments)
     assert result.message == "not advertised: /arm/move"
+
+
+def test_load_differing_from_the_configured_one_is_an_error():
+    config = Config.from_dict({"franka": {"load_mass": 0.3}})
+    assert robot.check_load(0.3, config).level is Level.OK
+    result = robot.check_load(0.0, config)
+    assert result.level is Level.ERROR
+    assert "franka/load_mass is 0.3 kg" in result.message
+
+
+def test_camera_controls_that_differ_are_an_error_with_the_command():
+    assert robot.check_camera_controls("/dev/video0", {"auto_exposure": 1}, {}).level is Level.OK
+    result = robot.check_camera_controls("/dev/video0", {"auto_exposure": 3}, {"auto_exposure": (3, 1)})
+    assert result.level is Level.ERROR
+    assert "auto_exposure is 3, not 1" in result.message
+    assert result.remedy == "v4l2-ctl --device /dev/video0 --set-ctrl auto_exposure=1"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import List, Mapping, Sequence
+from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import REAL, Config
 from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
+from embodied_active_learning.ros.camera.v4l2 import set_command
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.workspace import STATE_NAMES
 
@@ -17,6 +18,8 @@ MIN_SUCCESS_RATE = 0.95
 """Smallest acceptable control_command_success_rate."""
 POSITION_TOLERANCE, ANGLE_TOLERANCE = 0.002, 0.01
 """Largest difference [m], [rad] between tf and arm/state while the arm rests."""
+LOAD_TOLERANCE = 0.01
+"""Largest difference [kg] between the robot's load and franka/load_mass."""
 _READY_MODES = ("idle", "move")
 _BORDER_TOLERANCE = 1e-3  # m, rad: an arm that rests at the border counts as inside
 _MODE_REMEDIES = {
@@ -84,6 +87,38 @@ def check_controllers(controllers: Mapping[str, Controller], publishers: Sequenc
             )
         )
     return results or [ok(name, f"{STATE_CONTROLLER} and {CONTROLLER} run; nothing else moves the arm")]
+
+
+def check_load(load_mass: float, config: Config) -> CheckResult:
+    """Check that the robot's load, m_load of franka_states [kg], is the configured one."""
+    name, wanted = "load", config.franka.load_mass
+    message = f"the robot compensates a load of {load_mass:g} kg"
+    if abs(load_mass - wanted) > LOAD_TOLERANCE:
+        return error(
+            name,
+            f"{message}, franka/load_mass is {wanted:g} kg",
+            "with a wrong load the arm sags or rises, and collisions are detected too early or too late",
+            "rosservice call /arm/recover sets it when the robot is prepared; or set franka/load_mass",
+        )
+    return ok(name, message)
+
+
+def check_camera_controls(
+    device: str, controls: Mapping[str, int], differing: Mapping[str, Tuple[int, int]]
+) -> CheckResult:
+    """Check that exposure, focus and white balance are fixed.
+
+    Args:
+        device: of the camera.
+        controls: values of its v4l2 controls by name.
+        differing: present and wanted value of the controls that differ.
+    """
+    name = "camera controls"
+    if differing:
+        values = ", ".join(f"{control} is {value}, not {wanted}" for control, (value, wanted) in differing.items())
+        reason = "the images change with the light, and what was learned no longer fits"
+        return error(name, values, reason, set_command(device, differing))
+    return ok(name, f"exposure, focus and white balance of {device} are fixed ({len(controls)} controls)")
 
 
 def check_camera_pose(

@@ -29,6 +29,7 @@ PACKAGES = {
         "actionlib": "apt-get install ros-noetic-actionlib",
         "franka_msgs": "apt-get install ros-noetic-franka-ros",
         "controller_manager_msgs": "apt-get install ros-noetic-controller-manager-msgs",
+        "dynamic_reconfigure": "apt-get install ros-noetic-dynamic-reconfigure",
     },
 }
 """Python packages of the nodes that may be missing, and the command that installs each."""
@@ -171,6 +172,7 @@ def check_system(report: Report, config: Config, seconds: float) -> None:
     report.run("services", system.services)
     if real:
         report.run("camera", system.camera)
+        report.run("camera controls", system.camera_controls)
     report.run("images", system.images)
     report.run("camera matrix", system.camera_matrix)
     report.run("frames", system.frames)

@@ -13,13 +13,14 @@ import tf2_ros
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from embodied_active_learning.config import REAL, SIMULATED, Config
-from embodied_active_learning.errors import ObservationError
+from embodied_active_learning.errors import ObservationError, RobotError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.camera.image_buffer import FUTURE_TOLERANCE
+from embodied_active_learning.ros.camera.v4l2 import differing_settings, read_controls, wanted_settings
 from embodied_active_learning.ros.conversions import image_array, state_arrays
 from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
-from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok
+from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.ros.preflight.ros_graph import (
     TfMonitor,
     TopicMonitor,
@@ -31,7 +32,7 @@ from embodied_active_learning.ros.preflight.ros_graph import (
 )
 from embodied_active_learning.ros.preflight.topics import TopicLimits, check_topic
 
-FRANKA_PACKAGES = ("franka_msgs", "controller_manager_msgs", "actionlib")
+FRANKA_PACKAGES = ("franka_msgs", "controller_manager_msgs", "dynamic_reconfigure", "actionlib")
 try:
     from embodied_active_learning.ros.arm import franka_interface
 except ModuleNotFoundError as missing:
@@ -114,7 +115,8 @@ class System:
         if newest is None:
             return [result]
         errors = franka_interface.error_names(newest.current_errors)
-        return [result, *robot.check_robot_state(newest.robot_mode, errors, newest.control_command_success_rate)]
+        results = robot.check_robot_state(newest.robot_mode, errors, newest.control_command_success_rate)
+        return [result, *results, robot.check_load(newest.m_load, self._config)]
 
     def controllers(self) -> List[CheckResult]:
         """Check the controllers and the action that recovers from reflexes."""
@@ -159,6 +161,19 @@ class System:
             return result
         is_raw = isinstance(newest, Image)
         return result.with_detail(f"{newest.width} x {newest.height} {newest.encoding}" if is_raw else newest.format)
+
+    def camera_controls(self) -> CheckResult:
+        """Check the v4l2 controls of usb_cam's device, if it runs on this computer."""
+        parameters = rospy.get_param("usb_cam", {})
+        device, node = parameters.get("video_device", ""), rospy.resolve_name("usb_cam")
+        peers = find_peers([node]) if device and node in self._graph.nodes else []
+        if not any(peer.is_local for peer in peers):
+            return ok("camera controls", "not checked: no usb_cam with a device runs on this computer")
+        try:
+            controls = read_controls(device)
+        except RobotError as problem:
+            return warning("camera controls", str(problem), "exposure and focus may not be fixed", "read the message")
+        return robot.check_camera_controls(device, controls, differing_settings(controls, wanted_settings(parameters)))
 
     def images(self) -> List[CheckResult]:
         """Check the images of the model."""
