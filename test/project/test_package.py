@@ -1,0 +1,23 @@
+"""package.xml names the ROS packages that the sources and launch files use."""
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_package_xml_names_used_ros_packages():
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    named = {element.text for element in manifest if element.tag.endswith("depend")}
+    sources = [*(ROOT / "src").rglob("*.py"), *(ROOT / "nodes").iterdir(), *(ROOT / "scripts").glob("*")]
+    used = set()
+    for path in (path for path in sources if path.is_file()):
+        used |= set(re.findall(r"^\s*from (\w+)\.(?:msg|srv) import", path.read_text(), re.MULTILINE))
+        used |= set(re.findall(r"^\s*import (rospy|rosbag|actionlib|tf2_ros|cv2)\b", path.read_text(), re.MULTILINE))
+    for path in (ROOT / "launch").glob("*.launch"):
+        used |= set(re.findall(r'pkg="(\w+)"', path.read_text())) | set(
+            re.findall(r"\$\(find (\w+)\)", path.read_text())
+        )
+    used = {"python3-opencv" if name == "cv2" else name for name in used}
+    assert used - named == {manifest.findtext("name")}
