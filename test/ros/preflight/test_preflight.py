@@ -23,7 +23,7 @@ from embodied_active_learning.ros.preflight.check_result import (
     summary,
     warning,
 )
-from embodied_active_learning.ros.preflight.network import Peer
+from embodied_active_learning.ros.preflight.network import OwnAddress, Peer
 from embodied_active_learning.ros.preflight.robot import STATE_CONTROLLER
 from embodied_active_learning.ros.preflight.topics import TopicLimits, TopicStatistics, check_topic
 
@@ -286,17 +286,28 @@ def test_full_disk_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("device", "cuda", "level"),
+    ("device", "gpu", "problem", "level"),
     [
-        ("auto", False, "OK"),
-        ("auto", True, "OK"),
-        ("cpu", True, "OK"),
-        ("cuda", True, "OK"),
-        ("cuda", False, "ERROR"),
+        ("auto", False, "", "OK"),
+        ("auto", True, "", "OK"),
+        ("auto", False, "no kernel image", "WARNING"),
+        ("cpu", False, "", "OK"),
+        ("cuda", True, "", "OK"),
+        ("cuda", False, "", "ERROR"),
+        ("cuda", False, "no kernel image", "ERROR"),
     ],
 )
-def test_missing_gpu_is_an_error_if_requested(device, cuda, level):
-    assert computer.check_device(device, cuda, 2).level.value == level
+def test_gpu_must_exist_and_compute(device, gpu, problem, level):
+    result = computer.check_device(device, gpu, problem, 2)
+    assert result.level.value == level
+    assert problem in result.message
+
+
+def test_other_python_on_path_is_a_warning():
+    assert computer.check_interpreter("/checkout/.venv", "/checkout/.venv").level is Level.OK
+    result = computer.check_interpreter("/checkout/.venv", "/opt/conda")
+    assert result.level is Level.WARNING
+    assert "/opt/conda" in result.message
 
 
 @pytest.mark.parametrize(
@@ -318,21 +329,34 @@ HERE = Peer("/trainer", "10.77.0.2", "", local=True)
 THERE = Peer("/franka_arm", "10.77.0.1", "", local=False)
 
 
+VM = OwnAddress("vm", is_loopback=False, is_local=True, addresses=["10.77.0.2"])
+IP = VM._replace(host="10.77.0.2")
+LOCALHOST = VM._replace(host="localhost", is_loopback=True)
+STALE = VM._replace(host="192.168.77.5", is_local=False)
+
+
 @pytest.mark.parametrize(
-    ("own", "loopback", "environment", "master_is_local", "peers", "level"),
+    ("own", "environment", "master_is_local", "peers", "level"),
     [
-        ("vm", False, {}, True, [HERE], "OK"),
-        ("localhost", True, {"ROS_HOSTNAME": "localhost"}, True, [HERE], "OK"),
-        ("10.77.0.2", False, {"ROS_IP": "10.77.0.2"}, False, [HERE, THERE], "OK"),
-        ("localhost", True, {"ROS_HOSTNAME": "localhost"}, True, [HERE, THERE], "ERROR"),
-        ("127.0.0.1", True, {"ROS_IP": "127.0.0.1"}, False, [], "ERROR"),
-        ("vm", False, {}, False, [THERE], "WARNING"),
-        ("vm", False, {"ROS_IP": "10.77.0.2", "ROS_HOSTNAME": "vm"}, True, [HERE], "WARNING"),
+        (VM, {}, True, [HERE], "OK"),
+        (LOCALHOST, {"ROS_HOSTNAME": "localhost"}, True, [HERE], "OK"),
+        (IP, {"ROS_IP": "10.77.0.2"}, False, [HERE, THERE], "OK"),
+        (LOCALHOST, {"ROS_HOSTNAME": "localhost"}, True, [HERE, THERE], "ERROR"),
+        (LOCALHOST, {"ROS_IP": "127.0.0.1"}, False, [], "ERROR"),
+        (STALE, {"ROS_IP": "192.168.77.5"}, True, [HERE], "ERROR"),
+        (VM._replace(is_local=False), {}, True, [HERE], "OK"),
+        (VM, {}, False, [THERE], "WARNING"),
+        (VM, {"ROS_IP": "10.77.0.2", "ROS_HOSTNAME": "vm"}, True, [HERE], "WARNING"),
     ],
 )
-def test_own_address_is_reachable_for_other_computers(own, loopback, environment, master_is_local, peers, level):
-    assert network.check_own_address(own, loopback, environment, master_is_local, peers).level.value == level
+def test_own_address_is_reachable_for_other_computers(own, environment, master_is_local, peers, level):
+    assert network.check_own_address(own, environment, master_is_local, peers).level.value == level
     assert network.check_peers(peers).level is Level.OK
+
+
+def test_stale_ros_ip_is_compared_with_own_addresses():
+    result = network.check_own_address(STALE, {"ROS_IP": "192.168.77.5"}, True, [])
+    assert result.message == "ROS_IP=192.168.77.5 is not an address of this computer, which has 10.77.0.2"
 
 
 def test_unreachable_node_is_named():

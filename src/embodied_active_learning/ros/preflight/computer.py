@@ -41,17 +41,39 @@ def check_disk(root: Path, config: Config) -> CheckResult:
     return ok("disk", f"{free / 1e9:.0f} GB free in {root}; a run takes {estimate_bytes(config) / 1e9:.1f} GB")
 
 
-def check_device(device: str, cuda: bool, cores: int) -> CheckResult:
-    """Check that the device of training/device exists."""
-    if device == "cuda" and not cuda:
+def check_device(device: str, gpu: bool, problem: str, cores: int) -> CheckResult:
+    """Check that torch can compute on the device of training/device.
+
+    Args:
+        device: auto, cpu or cuda.
+        gpu: whether a GPU can be used.
+        problem: why a GPU that exists cannot be used.
+        cores: number of CPU cores.
+    """
+    cpu = f"CPU with {cores} cores (training/device {device})"
+    if device == "cuda" and not gpu:
         return error(
             "device",
-            "training/device is cuda, but torch finds no CUDA device",
+            f"training/device is cuda, but {problem or 'torch finds no CUDA device'}",
             "the trainer does not start",
-            "set device:=auto, fix the GPU driver, or run preflight on the computer of the trainer",
+            "set device:=auto, fix the GPU driver or torch, or run preflight on the computer of the trainer",
         )
-    used = "CUDA" if cuda and device != "cpu" else f"CPU with {cores} cores"
-    return ok("device", f"{used} (training/device {device})")
+    if problem:
+        remedy = "install a build of torch for this GPU, or set device:=cpu"
+        return warning("device", f"{cpu}: {problem}", "training is slower on the CPU", remedy)
+    return ok("device", f"CUDA (training/device {device})" if gpu else cpu)
+
+
+def check_interpreter(prefix: str, path_prefix: str) -> CheckResult:
+    """Check that python3 on PATH belongs to the environment of the nodes. Prefixes are folders of environments."""
+    if prefix == path_prefix:
+        return ok("python", prefix)
+    return warning(
+        "python",
+        f"python3 on PATH belongs to {path_prefix}, the nodes to {prefix}",
+        "programs started with rosrun use python3 on PATH, which lacks the packages of the nodes",
+        "deactivate other environments (conda deactivate), then source setup.bash last",
+    )
 
 
 def check_clock(use_sim_time: bool, clock_published: bool, robot: str) -> CheckResult:

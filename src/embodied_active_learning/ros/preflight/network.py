@@ -16,31 +16,47 @@ class Peer(NamedTuple):
     local: bool
 
 
+class OwnAddress(NamedTuple):
+    """Address that this computer advertises, and those that it has."""
+
+    host: str
+    is_loopback: bool
+    is_local: bool  # whether the host is one of the addresses
+    addresses: Sequence[str]
+
+
 def check_own_address(
-    own: str, is_loopback: bool, environment: Mapping[str, str], master_is_local: bool, peers: Sequence[Peer]
+    own: OwnAddress, environment: Mapping[str, str], master_is_local: bool, peers: Sequence[Peer]
 ) -> CheckResult:
-    """Check that other computers can reach this one at the address it advertises. own: from ROS_IP, ROS_HOSTNAME."""
+    """Check that other computers reach this one at the address from ROS_IP, ROS_HOSTNAME or the host name."""
     name = "own address"
     given = {key: environment[key] for key in ("ROS_HOSTNAME", "ROS_IP") if environment.get(key)}
     origin = ", ".join(f"{key}={value}" for key, value in given.items()) or "neither ROS_IP nor ROS_HOSTNAME is set"
     single_computer = master_is_local and all(peer.local for peer in peers)
-    if is_loopback and not single_computer:
+    if own.is_loopback and not single_computer:
         return error(
             name,
-            f"this computer advertises {own} ({origin})",
+            f"this computer advertises {own.host} ({origin})",
             "nodes on other computers connect to themselves instead of to this computer",
             "unset ROS_HOSTNAME; export ROS_IP=address of this computer in the common network; restart all nodes",
+        )
+    if given and not own.is_local:
+        return error(
+            name,
+            f"{origin} is not an address of this computer, which has {', '.join(own.addresses)}",
+            "other nodes connect to a wrong address, so topics arrive in one direction only",
+            "unset ROS_HOSTNAME ROS_IP, or export ROS_IP with one of these addresses; restart all nodes",
         )
     if len(given) == 2:
         return warning(name, origin, "ROS_HOSTNAME takes precedence; ROS_IP is ignored", "unset ROS_HOSTNAME")
     if not given and not single_computer:
         return warning(
             name,
-            f"this computer advertises {own} ({origin})",
+            f"this computer advertises {own.host} ({origin})",
             "if other computers cannot resolve the name, topics arrive in one direction only",
             "export ROS_IP=own address in the common network, on every computer",
         )
-    return ok(name, f"{own} ({origin})")
+    return ok(name, f"{own.host} ({origin})")
 
 
 def check_peers(peers: Sequence[Peer]) -> CheckResult:

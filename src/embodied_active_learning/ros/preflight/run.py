@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
+import sys
 from typing import Any, Callable, List, Optional, Sequence, Tuple, Union
 
 import rosgraph
@@ -147,9 +149,12 @@ def check_computer(report: Report, config: Config) -> None:
     required = PACKAGES[REAL if config.arm.robot == REAL else SIMULATED]
     missing = [name for name in required if importlib.util.find_spec(name) is None]
     device, cores = config.training.device, len(os.sched_getaffinity(0))
+    path_python = shutil.which("python3") or ""
+    prefix = os.path.realpath(os.path.dirname(os.path.dirname(path_python)))  # the link itself names the environment
+    report.run("python", lambda: computer.check_interpreter(os.path.realpath(sys.prefix), prefix))
     report.run("packages", lambda: computer.check_packages(required, missing))
     report.run("disk", lambda: computer.check_disk(session_root(config), config))
-    report.run("device", lambda: computer.check_device(device, has_cuda(device), cores))
+    report.run("device", lambda: computer.check_device(device, *find_gpu(device), cores))
 
 
 def check_system(report: Report, config: Config, seconds: float) -> None:
@@ -179,13 +184,22 @@ def check_system(report: Report, config: Config, seconds: float) -> None:
     report.run("reach", system.reach)
 
 
-def has_cuda(device: str) -> bool:
-    """Return whether torch finds a GPU; False, without the slow import, if training/device is cpu."""
+def find_gpu(device: str) -> Tuple[bool, str]:
+    """Return whether torch can compute on a GPU, and why not if there is one. Not asked if training/device is cpu."""
     if device == "cpu" or importlib.util.find_spec("torch") is None:
-        return False
+        return False, ""
+    # Imported late, because the import takes seconds.
     import torch  # noqa: PLC0415
 
-    return bool(torch.cuda.is_available())
+    from embodied_active_learning.model.build import check_device  # noqa: PLC0415
+
+    if not torch.cuda.is_available():
+        return False, ""
+    try:
+        check_device(torch.device("cuda"))
+    except RuntimeError as problem:
+        return False, f"the GPU cannot compute: {str(problem).splitlines()[0]}"
+    return True, ""
 
 
 def _resolve(name: str) -> str:

@@ -91,11 +91,12 @@ class System:
 
     def addresses(self) -> List[CheckResult]:
         """Check the addresses of this computer and of all nodes."""
-        own = rosgraph.network.get_host_name()
+        host = rosgraph.network.get_host_name()
+        own = network.OwnAddress(host, is_loopback(host), is_local(host), rosgraph.network.get_local_addresses())
         master, _ = rosgraph.network.parse_http_host_and_port(rosgraph.get_master_uri())
         peers = find_peers(self._graph.nodes)
         return [
-            network.check_own_address(own, is_loopback(own), os.environ, is_local(master), peers),
+            network.check_own_address(own, os.environ, is_local(master), peers),
             network.check_peers(peers),
         ]
 
