@@ -1,4 +1,4 @@
-"""Names of topics, services and frames, each in this one place; relative, so that a system can live in a namespace."""
+"""Names of topics, services, parameters and frames; relative, so that a system can run in a namespace."""
 
 ARM_MOVE = "arm/move"
 ARM_GO_TO = "arm/go_to"
@@ -11,12 +11,12 @@ JOINT_STATES = "joint_states"
 
 CAMERA_IMAGE = "camera/image_raw"
 CAMERA_INFO = "camera/camera_info"
-# What the driver of a real camera publishes; the names are usb_cam's.
+# Published by the driver of a real camera, usb_cam.
 USB_CAM_IMAGE = "usb_cam/image_raw"
 USB_CAM_COMPRESSED = "usb_cam/image_raw/compressed"
 USB_CAM_INFO = "usb_cam/camera_info"
 
-# Of franka_ros, as a Panda's own launch file names them.
+# Names of franka_ros.
 FRANKA_STATES = "franka_state_controller/franka_states"
 FRANKA_SET_POINT = "cartesian_impedance_example_controller/equilibrium_pose"
 # franka_ros 0.9.1 and newer, 0.8.0 to 0.9.0.
@@ -52,10 +52,11 @@ FINGERPRINT_MARKERS = "fingerprint_markers"
 IDENTIFY = "identify"
 BELIEFS = "beliefs"
 BELIEF_GRIDS = "belief_grids"
+BELIEF_MARKERS = "belief_markers"
 DECISION_MARKERS = "decision_markers"
 FOUND_OBJECTS = "found_objects"
 
-# In recorded bags only: the configuration of the run as YAML.
+# Configuration of the run as YAML, in recorded bags only.
 RUN_CONFIG = "run_config"
 
 TRAVELLED_PATH = "travelled_path"
@@ -63,16 +64,17 @@ PLANNED_PATH = "planned_path"
 TARGET_CLOUD = "target_cloud"
 TIME_AVERAGE_CLOUD = "time_average_cloud"
 WORKSPACE_MARKER = "workspace"
+WORLD_MARKERS = "world_markers"
 
 CONFIG_PARAMETER = "config"
-# That of a real arm which robot.launch has brought up.
+# Configuration of a real arm started by robot.launch.
 ARM_CONFIG_PARAMETER = "franka_arm/config"
 FAILURE_PARAMETER = "failure"
-# Kept by the master for a node that is killed and started again; the launch files begin with them empty.
+# Persistent parameters: state of a node across its restarts; launch files clear them.
 STOPPED_BY = "~stopped_by"
 PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 
 BASE_FRAME = "panda_link0"
-END_EFFECTOR_FRAME = "panda_EE"  # as franka_state_controller names it
+END_EFFECTOR_FRAME = "panda_EE"  # of franka_state_controller
 CAMERA_FRAME = "camera_optical_frame"

@@ -21,6 +21,7 @@ from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import occupancy_grid_message
 from embodied_active_learning.ros.objects.found_objects import FoundObjects
+from embodied_active_learning.ros.rviz.belief_markers import belief_markers
 from embodied_active_learning.ros.rviz.markers import BLANK_COLOUR, FOUND_COLOUR, disc_marker, label_marker
 
 _LEAST_RANGE = 0.05
@@ -34,6 +35,7 @@ class RvizBeliefs:
         """Advertise the topics; those of the grids once their fingerprints are known."""
         self._beliefs = rospy.Publisher(names.BELIEFS, BeliefArray, queue_size=1, latch=True)
         self._markers = rospy.Publisher(names.DECISION_MARKERS, MarkerArray, queue_size=1, latch=True)
+        self._reliefs = rospy.Publisher(names.BELIEF_MARKERS, MarkerArray, queue_size=1, latch=True)
         self._found = FoundObjects()
         self._grids: Dict[str, rospy.Publisher] = {}
 
@@ -59,15 +61,17 @@ class RvizBeliefs:
         self._beliefs.publish(BeliefArray(header, images, finished, beliefs))
 
     def _publish_grids(self, targets: Sequence[SearchTarget], always: bool) -> None:
-        """Publish a grid per target, all with the same scale."""
+        """Publish a grid and a marker per target, all with the same scale."""
         publishers = [self._grid_publisher(target) for target in targets]
-        shown = [pair for pair in zip(targets, publishers) if always or pair[1].get_num_connections()]
-        if not shown:
+        if not (always or any(item.get_num_connections() for item in [*publishers, self._reliefs])):
             return
         stamp = rospy.Time.now()
-        scale = max([_LEAST_RANGE, *(float(prominence(target.grid).max()) for target in targets)])
-        for target, publisher in shown:
-            publisher.publish(grid_message(stamp, target.grid, scale))
+        reliefs = [prominence(target.grid) for target in targets]
+        scale = max([_LEAST_RANGE, *(float(relief.max()) for relief in reliefs)])
+        for target, publisher in zip(targets, publishers):
+            if always or publisher.get_num_connections():
+                publisher.publish(grid_message(stamp, target.grid, scale))
+        self._reliefs.publish(belief_markers(stamp, targets, reliefs, scale))
 
     def _grid_publisher(self, target: SearchTarget) -> rospy.Publisher:
         """Publisher of a target's grid."""

@@ -15,31 +15,37 @@ FOUND_COLOUR = ColorRGBA(0.1, 0.7, 0.2, 0.6)
 BLANK_COLOUR = ColorRGBA(0.5, 0.5, 0.5, 0.4)
 _LABEL_COLOUR = ColorRGBA(0.05, 0.05, 0.05, 1.0)
 _DISC_RADIUS, _DISC_THICKNESS = 0.045, 0.002  # m
-_LABEL_HEIGHT = 0.10  # m above the table, over the objects
-_LABEL_SIZE = 0.02  # m
+_LABEL_HEIGHT = 0.25  # m above the table, above objects and clouds
+_LABEL_SIZE = 0.025  # m
 
 
 def disc_marker(stamp: rospy.Time, namespace: str, number: int, centre: np.ndarray, colour: ColorRGBA) -> Marker:
     """Return a flat disc on the table at a centre (x, y, ...) [m]."""
     size = Vector3(2.0 * _DISC_RADIUS, 2.0 * _DISC_RADIUS, _DISC_THICKNESS)
     position = Point(float(centre[0]), float(centre[1]), _DISC_THICKNESS / 2.0)
-    return _marker(stamp, namespace, number, Marker.CYLINDER, position, size, colour)
+    return marker(stamp, namespace, number, Marker.CYLINDER, position, size, colour)
 
 
 def label_marker(stamp: rospy.Time, namespace: str, number: int, centre: np.ndarray, text: str) -> Marker:
     """Return a text above a centre (x, y, ...) [m]."""
     position = Point(float(centre[0]), float(centre[1]), _LABEL_HEIGHT)
     size = Vector3(0.0, 0.0, _LABEL_SIZE)
-    marker = _marker(stamp, namespace, number, Marker.TEXT_VIEW_FACING, position, size, _LABEL_COLOUR)
-    marker.text = text
-    return marker
+    label = marker(stamp, namespace, number, Marker.TEXT_VIEW_FACING, position, size, _LABEL_COLOUR)
+    label.text = text
+    return label
 
 
-def _marker(
+def marker(
     stamp: rospy.Time, namespace: str, number: int, kind: int, position: Point, size: Vector3, colour: ColorRGBA
 ) -> Marker:
-    """A marker in the base frame."""
-    marker = Marker(type=kind, action=Marker.ADD, ns=namespace, id=number, scale=size, color=colour)
-    marker.header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
-    marker.pose = Pose(position, Quaternion(0.0, 0.0, 0.0, 1.0))
-    return marker
+    """Return a marker in the base frame without rotation."""
+    return Marker(
+        header=Header(stamp=stamp, frame_id=names.BASE_FRAME),
+        ns=namespace,
+        id=number,
+        type=kind,
+        action=Marker.ADD,
+        pose=Pose(position, Quaternion(0.0, 0.0, 0.0, 1.0)),
+        scale=size,
+        color=colour,
+    )
