@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sensor_msgs import point_cloud2
 
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.ros import conversions
+from embodied_active_learning.ros import conversions, names
 from embodied_active_learning.ros.camera.pose_buffer import interpolate
 from embodied_active_learning.workspace import Workspace
 
@@ -121,3 +121,13 @@ def test_state_interpolation_takes_shorter_rotation():
     state, velocity = conversions.state_arrays(interpolate(before, after, rospy.Time(1, 500000000)))
     np.testing.assert_allclose(state, [0.45, 0.05, np.pi], atol=1e-9)
     np.testing.assert_allclose(velocity, [0.5, 0, 0])
+
+
+def test_frames_follow_arm_id():
+    names.use_arm_id("fr3")
+    try:
+        assert conversions.state_message(STAMP, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)).header.frame_id == "fr3_link0"
+        assert names.END_EFFECTOR_FRAME == "fr3_EE"
+    finally:
+        names.use_arm_id("panda")
+    assert conversions.state_message(STAMP, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)).header.frame_id == "panda_link0"

@@ -96,7 +96,7 @@ def camera_info_message(stamp: rospy.Time, intrinsics: np.ndarray, height: int, 
 
 
 def mount_message(stamp: rospy.Time, mount: CameraMount) -> TransformStamped:
-    """Convert the camera mount to the transform of camera_optical_frame in panda_EE."""
+    """Convert the camera mount to the transform of camera_optical_frame in the end effector frame."""
     header = Header(stamp=stamp, frame_id=names.END_EFFECTOR_FRAME)
     transform = Transform(Vector3(*mount.position), Quaternion(*quaternion(mount.rotation)))
     return TransformStamped(header, names.CAMERA_FRAME, transform)

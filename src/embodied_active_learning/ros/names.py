@@ -75,6 +75,13 @@ STOPPED_BY = "~stopped_by"
 PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 
+# Of the robot with franka/arm_id "panda", see use_arm_id.
 BASE_FRAME = "panda_link0"
 END_EFFECTOR_FRAME = "panda_EE"  # of franka_state_controller
 CAMERA_FRAME = "camera_optical_frame"
+
+
+def use_arm_id(arm_id: str) -> None:
+    """Use the frames of the robot with this prefix in the whole process; call it before any message is made."""
+    global BASE_FRAME, END_EFFECTOR_FRAME
+    BASE_FRAME, END_EFFECTOR_FRAME = f"{arm_id}_link0", f"{arm_id}_EE"

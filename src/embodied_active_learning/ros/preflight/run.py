@@ -94,6 +94,8 @@ def run(arguments: List[str], robot_profile: str, seconds: float, write: Callabl
     except Exception as invalid:
         report.add(error("configuration", str(invalid), "no node starts with it", _READ_MESSAGE))
     if config is not None:
+        if config.arm.robot == REAL:
+            names.use_arm_id(config.franka.arm_id)
         check_computer(report, config)
         if not problem:
             check_system(report, config, seconds)

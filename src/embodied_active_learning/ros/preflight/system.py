@@ -212,8 +212,8 @@ class System:
                     "frames",
                     f"no transform from {names.BASE_FRAME} to {names.CAMERA_FRAME}: {problem}",
                     "rviz, rosbag and calibration tools need tf",
-                    "start robot_state_publisher; franka_state_controller publishes panda_EE, and camera_pipeline the "
-                    "camera mount",
+                    f"start robot_state_publisher; franka_state_controller publishes {names.END_EFFECTOR_FRAME}, and "
+                    "camera_pipeline the camera mount",
                 )
             ]
         theta = math.atan2(pose[1, 0], pose[0, 0])

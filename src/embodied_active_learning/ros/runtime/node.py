@@ -9,7 +9,7 @@ from typing import Any, Callable
 
 import rospy
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import BusyError, ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.failure import report_failure
@@ -61,7 +61,10 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
         show_library_log()
         if needs_clock:
             wait_for_clock()
-        body(read_config())
+        config = read_config()
+        if config.arm.robot != SIMULATED:
+            names.use_arm_id(config.franka.arm_id)
+        body(config)
         if always_required and not is_shutting_down():
             rospy.loginfo("finished; roslaunch now reports this node in red as a required process that has died")
     except EmbodiedActiveLearningError as error:
