@@ -167,6 +167,31 @@ def test_mutated_bag_is_read_or_rejected(whole, tmp_path_factory, data):
         assert all(len(message.data) <= len(whole) for message in BagFile(path).read(lambda _: True))
 
 
+fields_of_record = st.dictionaries(
+    st.sampled_from(["op", "conn", "time", "topic", "compression", "size", "index_pos", "x"]),
+    st.one_of(
+        st.sampled_from([b"\x02", b"\x04", b"\x05", b"\x06", b"\x07", b"none", b"bz2", b"lz4", bytes(4), bytes(8)]),
+        st.binary(max_size=8),
+    ),
+)
+records = st.builds(record, fields_of_record, st.binary(max_size=60))
+nested = st.builds(
+    lambda parts, size, compression: chunk(parts, size, compression)[len(HEAD) :],
+    st.lists(records, max_size=3).map(b"".join),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([b"none", b"bz2", b"lz4"]),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(parts=st.lists(st.one_of(records, nested, st.just(CONNECTION)), max_size=6))
+def test_well_formed_records_with_random_content_are_read_or_rejected(tmp_path_factory, parts):
+    path = tmp_path_factory.getbasetemp() / "random.bag"
+    path.write_bytes(HEAD + b"".join(parts))
+    with suppress(BagError):
+        assert sum(len(message.data) for message in BagFile(path).read(lambda _: True)) <= 2**20
+
+
 @pytest.mark.parametrize(
     "fields",
     [{"topic": b"/" * 1025}, {"datatype": b"a" * 257}, {"md5sum": b"0" * 33}],

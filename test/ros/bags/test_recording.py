@@ -1,17 +1,21 @@
 """Recording: observations of a recorded run, or pairs of images and arm states."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rosbag
 import rospy
-from embodied_active_learning.msg import Observation
+from embodied_active_learning.msg import Observation, TargetDistribution
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from std_msgs.msg import Header, String
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import BagError, ConfigError, ObservationError
+from embodied_active_learning.errors import BagError, ConfigError, EmbodiedActiveLearningError, ObservationError
 from embodied_active_learning.pipeline.resolve import resolve
+from embodied_active_learning.ros.bags import pairing
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, is_due
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.ros.bags.replay_config import resolve_copy, resolve_replay
@@ -158,8 +162,8 @@ def test_resumed_replay_keeps_its_number_of_steps(tmp_path):
     profile.write_text("camera: {width: 8, height: 8}\nexploration: {steps: 1000}\n")
     target = [f"session/root={tmp_path}", "session/name=again"]
     Session.open_for_writing(resolve_replay(recording, str(profile), [*target, "exploration/steps=70"])).close()
-    for given in ("", str(profile)):
-        assert resolve_replay(recording, given, [*target, "session/resume=true"]).exploration.steps == 70
+    for chosen in ("", str(profile)):
+        assert resolve_replay(recording, chosen, [*target, "session/resume=true"]).exploration.steps == 70
     more = resolve_replay(recording, "", [*target, "session/resume=true", "exploration/steps=75"])
     assert more.exploration.steps == 75
 
@@ -302,6 +306,51 @@ def test_bag_has_temporary_name_until_closed(tmp_path):
     bag.close()
     bag.write("/observation", observation(1), rospy.Time(1))
     assert indices_of(Recording(tmp_path)) == [0]
+
+
+@pytest.fixture(scope="module")
+def valid(tmp_path_factory):
+    """Content of a bag with settings, observations, images, states and measures."""
+    path = tmp_path_factory.mktemp("valid") / "a.bag"
+    with BagWriter(path) as bag:
+        bag.write("/run_config", String(settings_text(CONFIG)), rospy.Time(1))
+        for index in range(4):
+            item = observation(index)
+            bag.write("/observation", item, rospy.Time(index + 1))
+            bag.write("/camera/image_raw", item.image, rospy.Time(index + 1))
+            bag.write("/arm/state", item.state, rospy.Time(index + 1))
+            bag.write(
+                "/target_distribution", TargetDistribution(header=item.header, step=index + 1), rospy.Time(index + 1)
+            )
+    return path.read_bytes()
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_mutated_recording_is_read_or_rejected(valid, tmp_path_factory, data):
+    """Bytes of settings, messages and records change; also topics, so that pairs are made instead of observations."""
+    content = bytearray(valid)
+    if data.draw(st.booleans()):
+        content = bytearray(valid.replace(b"/observation", b"/observatxon"))
+    for _ in range(data.draw(st.integers(0, 6))):
+        content[data.draw(st.integers(13, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path_factory.getbasetemp() / "mutated.bag"
+    path.write_bytes(content)
+    with suppress(EmbodiedActiveLearningError):
+        recording = Recording(path)
+        recording.settings()
+        assert recording.count(CONFIG) <= 4
+        assert len(list(recording.measures())) <= 4
+        recording.warnings()
+
+
+def test_waiting_images_are_bounded(monkeypatch):
+    """Without arm states, images are held back; the oldest are dropped beyond a number of bytes."""
+    monkeypatch.setattr(pairing, "MAX_WAITING", 5 * 8 * 8 * 3)
+    pairs = RecordedPairs(CONFIG)
+    for number in range(20):
+        assert list(pairs.add_image(image_message(rospy.Time(100 + number), picture(number)))) == []
+    assert len(pairs._waiting) == 5
 
 
 def test_shipped_bag_matches_its_profile(tmp_path):

@@ -21,6 +21,8 @@ PERIOD_TOLERANCE = 0.001
 """Seconds by which a period may be shorter than requested, for inexact stamps."""
 WORKSPACE_TOLERANCE = 0.05
 """Distance outside the workspace, in half workspaces, up to which images are used."""
+MAX_WAITING = 2**28
+"""Maximum size in bytes of the images held back until a state arrives; the oldest are dropped."""
 
 
 Pair = Tuple[Image, PlanarState]
@@ -56,6 +58,8 @@ class RecordedPairs:
             return iter(())
         image.header.stamp = exposure_stamp(image.header.stamp, self._camera.latency)
         self._waiting.append(image)
+        while sum(len(item.data) for item in self._waiting) > MAX_WAITING:
+            self._waiting.popleft()
         return self._pairs()
 
     def add_state(self, state: PlanarState) -> Iterator[Pair]:

@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, ConfigError, ObservationError
-from embodied_active_learning.files import shown
+from embodied_active_learning.files import LARGEST_YAML, shown
 from embodied_active_learning.msg import Observation, PlanarState, TargetDistribution
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, model_image
@@ -33,6 +33,7 @@ _CLASSES: Dict[str, Type[genpy.Message]] = {
     names.RUN_CONFIG: String,
 }
 _OVERLAP_TOLERANCE = rospy.Duration(1)
+_MAX_SYSTEMS = 64  # recorded in one bag
 _MAX_LISTED = 8  # topics or reasons in a message
 
 
@@ -187,7 +188,10 @@ class Recording:
         for bag in self.bags:
             found = self._settings[bag.path] = {}
             for message in bag.read(wanted):
-                found.setdefault(_absolute(message.connection.topic), _deserialise(bag, message, String).data)
+                text = _deserialise(bag, message, String).data
+                found.setdefault(_absolute(message.connection.topic), text[: LARGEST_YAML + 1])
+                if len(found) > _MAX_SYSTEMS:
+                    raise BagError(f"{bag.path} has more than {_MAX_SYSTEMS} topics {names.RUN_CONFIG}: filter the bag")
         return topics
 
     def _sort_bags(self) -> List[rospy.Time]:
