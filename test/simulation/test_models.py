@@ -323,7 +323,7 @@ def test_named_pipe_is_rejected_without_waiting(tmp_path, name):
 
 
 def png_of_size(width, height):
-    """Return a small PNG file whose header says any size."""
+    """Return a small PNG file with any size in its header."""
     _, data = cv2.imencode(".png", np.zeros((8, 8, 3), np.uint8))
     data = bytearray(data.tobytes())
     data[16:24] = width.to_bytes(4, "big") + height.to_bytes(4, "big")

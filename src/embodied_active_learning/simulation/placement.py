@@ -1,4 +1,4 @@
-"""Check that every object of a world can be seen, fits, and stands where it can."""
+"""Check size, visibility and position of the objects of a world."""
 
 from __future__ import annotations
 

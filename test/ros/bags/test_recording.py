@@ -13,13 +13,20 @@ from hypothesis import strategies as st
 from std_msgs.msg import Header, String
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import BagError, ConfigError, EmbodiedActiveLearningError, ObservationError
+from embodied_active_learning.errors import (
+    BagError,
+    ConfigError,
+    EmbodiedActiveLearningError,
+    ObservationError,
+    SessionError,
+)
 from embodied_active_learning.pipeline.resolve import resolve
-from embodied_active_learning.ros.bags import pairing
+from embodied_active_learning.ros.bags import pairing, session_bag
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, is_due
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.ros.bags.replay_config import resolve_copy, resolve_replay
 from embodied_active_learning.ros.bags.run_settings import read_settings, settings_text
+from embodied_active_learning.ros.bags.session_bag import SessionBag
 from embodied_active_learning.ros.bags.writer import BagWriter
 from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
 from embodied_active_learning.session.session import Session
@@ -295,6 +302,25 @@ def test_writer_keeps_existing_bag_and_removes_failed_one(tmp_path):
     with pytest.raises(RuntimeError), BagWriter(tmp_path / "b.bag"):
         raise RuntimeError
     assert [path.name for path in tmp_path.iterdir()] == ["a.bag"]
+
+
+def test_session_bag_stops_when_disk_is_full(tmp_path, monkeypatch):
+    """What was recorded is kept, later messages are dropped, and the run is not disturbed."""
+    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(5))
+    bag = SessionBag(CONFIG, tmp_path)
+    bag.write("observation", observation(0))
+
+    def fail(*_):
+        raise SessionError("too little space")
+
+    monkeypatch.setattr(session_bag, "check_space", fail)
+    bag.check_disk()
+    bag.check_disk()
+    assert bag.stopped == "too little space"
+    bag.write("observation", observation(1))
+    bag.close()
+    assert indices_of(Recording(tmp_path / "bags")) == [0]
+    assert bag.values()["messages"] == 1
 
 
 def test_bag_has_temporary_name_until_closed(tmp_path):
