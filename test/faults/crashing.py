@@ -21,11 +21,13 @@ from launching import ROOT, environment, processes_of, started
 
 EVERYTHING = "everything"
 INTERRUPTION = "interrupt"
+FREEZE = "frozen planner"
 TABLES = ("exploration.csv", "training.csv", "evaluation.csv")
 PROFILE = ROOT / "test" / "faults" / "crashes.yaml"
 NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
 STEPS_BETWEEN = (0, 1, 2, 4)  # steps between two kills: some come while nodes are still starting
 MAX_WAIT = 0.4  # s after these steps
+FREEZE_TIME = 3.0  # s, longer than arm/commander_timeout of the profile
 
 
 class Crash(NamedTuple):
@@ -39,6 +41,14 @@ def kill(number: int) -> None:
     """Send SIGKILL to a process, if it still exists."""
     with suppress(ProcessLookupError):
         os.kill(number, signal.SIGKILL)
+
+
+def freeze(number: int) -> None:
+    """Freeze a process so long that the arm stops without its commander."""
+    with suppress(ProcessLookupError):
+        os.kill(number, signal.SIGSTOP)
+        time.sleep(FREEZE_TIME)
+        os.kill(number, signal.SIGCONT)
 
 
 def kill_everything(launch: subprocess.Popen) -> None:
@@ -123,12 +133,16 @@ def crash(
                     _wait(launch, lambda reached=reached: acknowledged(path) >= reached, ends_at)
                 _wait(launch, lambda: False, time.monotonic() + draw.uniform(0.0, MAX_WAIT))
                 processes = processes_of(launch.pid)
-                is_running = victim in processes or (victim not in NODES and "trainer" in processes)
+                is_running = {victim} & set(NODES) <= set(processes) and {"trainer", "ergodic_planner"} <= set(
+                    processes
+                )
                 if launch.poll() is not None or len(crashes) >= kills or not is_running:
                     continue
                 before = acknowledged(path)
                 if victim == EVERYTHING:
                     kill_everything(launch)
+                elif victim == FREEZE:
+                    freeze(processes["ergodic_planner"])
                 elif victim == INTERRUPTION:
                     launch.send_signal(signal.SIGINT)
                     launch.wait(60)
@@ -145,7 +159,7 @@ def crash(
 def _victims(draw: random.Random) -> Iterator[str]:
     """Yield what to kill next: each of all victims once, in random order, repeatedly."""
     while True:
-        yield from draw.sample([*NODES, EVERYTHING, INTERRUPTION], len(NODES) + 2)
+        yield from draw.sample([*NODES, EVERYTHING, INTERRUPTION, FREEZE], len(NODES) + 3)
 
 
 def _wait(launch: subprocess.Popen, condition: Callable[[], bool], until: float) -> None:

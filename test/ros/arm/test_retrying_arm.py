@@ -101,6 +101,11 @@ class SimulatedArm(Arm):
         self.is_dead, self.has_commander, self._time = False, False, 0
         self._camera.receive_time(0)
 
+    def brake(self):
+        """Stop because the commander is silent."""
+        self._advance()
+        self.has_commander = False
+
     def _advance(self):
         return self._set_time(self._time + 1)
 
@@ -121,6 +126,7 @@ class Camera:
 
     def __init__(self):
         self.failures = []
+        self.stamps = []  # of the next images, if another than asked for
 
     def receive_time(self, time):
         stamp = rospy.Time(time)
@@ -130,7 +136,7 @@ class Camera:
     def take(self, after):
         if self.failures:
             raise self.failures.pop(0)
-        return image_message(after, np.zeros((2, 2, 3), np.uint8)), REACHED
+        return image_message(self.stamps.pop() if self.stamps else after, np.zeros((2, 2, 3), np.uint8)), REACHED
 
 
 @pytest.fixture
@@ -487,6 +493,37 @@ def test_stop_of_simulation_releases_control(simulated):
     assert retrying.in_control
     retrying.stop()
     assert not retrying.in_control
+
+
+def test_simulation_stopped_by_timeout_is_restored_before_command(simulated):
+    """As after a freeze of the commander: the brake of the arm has no effect on the run."""
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    simulated.brake()
+    assert retrying.in_control, "it returns to where it was left"
+    assert retrying.execute(FORWARD).header.stamp == rospy.Time(2)
+    assert kinds(simulated) == ["move", ("restore", 1.0), "move"]
+    assert not retrying.was_held
+
+
+def test_simulation_stopped_by_timeout_is_restored_before_image(simulated, camera):
+    retrying = retrying_arm.RetryingArm(Config())
+    reached = retrying.execute(FORWARD)
+    simulated.brake()
+    camera.stamps = [rospy.Time(2)]  # this image has replaced the one at the state reached
+    image, _ = retrying.observe(reached)
+    assert image.header.stamp == reached.header.stamp
+    assert set(kinds(simulated)[1:]) == {("restore", 1.0)}
+    assert not retrying.was_held
+
+
+def test_simulation_moved_after_release_is_not_restored(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    retrying.stop()
+    simulated.brake()
+    retrying.execute(FORWARD)
+    assert kinds(simulated) == ["move", "stop", "move"]
 
 
 def test_restore_returns_to_stamp(simulated):

@@ -73,6 +73,7 @@ class RetryingArm:
         self._reached: Optional[PlanarState] = None  # where the last command has ended
         self._restarts = 0
         self._unanswered = False
+        self._released = False  # control was released since the last command
         self._was_held = False
         self._error = ""
         self._throttle = LogThrottle()
@@ -104,11 +105,9 @@ class RetryingArm:
     @property
     def in_control(self) -> bool:
         """Whether the arm is where this node's last command has left it, as far as this node knows."""
-        if not self._is_restorable or self._reached is None:
+        if not self._is_restorable:
             return self._lease.is_held
-        # Simulated time passes only while the arm moves: a newer state means that it has moved.
-        newest = self._camera.newest_state
-        return self._has_restarted or newest is None or newest <= self._reached.header.stamp
+        return self._has_restarted or not (self._released and self._has_moved)
 
     @property
     def is_paused(self) -> bool:
@@ -132,9 +131,11 @@ class RetryingArm:
         while True:
             try:
                 observation = self._camera.take(reached.header.stamp)
+                if self._is_restorable and observation[0].header.stamp != reached.header.stamp:
+                    raise ObservationError("the simulated arm has moved on: its image is of another time")
                 break
             except ObservationError as error:
-                if self._is_restorable and (self._has_restarted or not restored):
+                if self._is_restorable and (self._must_restore or not restored):
                     # The simulation publishes the image again; this does not count as holding the arm still.
                     reached = self._execute(_Restore(self._reached), self._hold)
                     restored = True
@@ -263,9 +264,23 @@ class RetryingArm:
         """Whether the simulated arm has restarted since the last command, or may have."""
         return self._is_restorable and (self._unanswered or self._camera.restarts != self._restarts)
 
+    @property
+    def _has_moved(self) -> bool:
+        """Whether the simulated arm has moved since the last command: only then does simulated time pass."""
+        newest = self._camera.newest_state
+        return self._reached is not None and newest is not None and newest > self._reached.header.stamp
+
+    @property
+    def _must_restore(self) -> bool:
+        """Whether the simulated arm is not where it was left, although this node has not released control.
+
+        It has restarted, or it has stopped because this process was frozen beyond the arm's timeout.
+        """
+        return self._has_restarted or (self._is_restorable and self._has_moved and not self._released)
+
     def _send(self, command: _AnyCommand) -> PlanarState:
-        """Carry out a command; a simulated arm that has restarted is restored first."""
-        if self._has_restarted:
+        """Carry out a command; a simulated arm that is not where it was left is restored first."""
+        if self._must_restore:
             self._restore_last_state()
         reached = self._call(command)
         before = self._reached if self._is_restorable and not isinstance(command, _Restore) else None
@@ -300,7 +315,7 @@ class RetryingArm:
             self._lease.renew()  # the arm has accepted us as its commander, or may have
             raise
         self._lease.renew()
-        self._restarts = restarts
+        self._restarts, self._released = restarts, False
         return reached
 
     def _restore(self, state: PlanarState) -> PlanarState:
@@ -319,6 +334,7 @@ class RetryingArm:
                 if self.in_control and self._may_be_commander():
                     self._arm.stop()
                 self._lease.end()
+                self._released = True
             outcome.set_result(None)
         except CommandError as error:
             outcome.set_exception(error)
