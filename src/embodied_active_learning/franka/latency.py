@@ -34,7 +34,7 @@ class RotationTracker:
     """Measures the rotation of images about their middle, relative to the first one."""
 
     def __init__(self) -> None:
-        self._reference = np.empty(0)
+        self._reference: np.ndarray = np.empty(0)
 
     def rotation(self, image: np.ndarray) -> float:
         """Return the rotation [rad] of an image (H, W) or (H, W, 3) from the first one, within -pi to pi."""
@@ -66,8 +66,9 @@ def estimate_latency(
     Raises:
         ObservationError: The data do not determine the latency.
     """
-    stamps, seen = np.asarray(image_stamps, dtype=np.float64), np.unwrap(np.asarray(rotations, dtype=np.float64))
-    times, measured = np.asarray(pose_stamps, dtype=np.float64), np.unwrap(np.asarray(yaws, dtype=np.float64))
+    stamps: np.ndarray = np.asarray(image_stamps, dtype=np.float64)
+    times: np.ndarray = np.asarray(pose_stamps, dtype=np.float64)
+    seen, measured = np.unwrap(np.asarray(rotations, dtype=float)), np.unwrap(np.asarray(yaws, dtype=float))
     usable = (stamps >= times[0] + MAX_LATENCY) & (stamps <= times[-1]) if len(times) else np.zeros(len(stamps), bool)
     stamps, seen = stamps[usable], seen[usable]
     if len(stamps) < MIN_IMAGES:

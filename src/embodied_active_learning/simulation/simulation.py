@@ -106,7 +106,7 @@ class Simulation:
 
     def image(self) -> np.ndarray:
         """Return the camera image (H, W, 3) uint8 RGB at the arm's pose and velocity."""
-        image = self._scene.render(self._arm.pose, self._arm.camera_height, self._arm.velocity)
+        image = self._scene.render(self._arm.pose, self._arm.camera_height, self._arm.velocity.tolist())
         return self._disturbance.image(image, self.time)
 
     def top_view(self, centre: np.ndarray, size: float, width: int = 600) -> np.ndarray:

@@ -168,7 +168,7 @@ class System:
         parameters = rospy.get_param("usb_cam", {})
         device, node = parameters.get("video_device", ""), rospy.resolve_name("usb_cam")
         peers = find_peers([node]) if device and node in self._graph.nodes else []
-        if not any(peer.is_local for peer in peers):
+        if not any(peer.local for peer in peers):
             return ok("camera controls", "not checked: no usb_cam with a device runs on this computer")
         try:
             controls = read_controls(device)
