@@ -220,3 +220,13 @@ def test_requested_recoveries_do_not_hold_robot_but_user_stop_does():
     robot.reports(mode=RobotMode.USER_STOPPED)
     robot.readiness.forget_reflexes()
     assert robot.reports() is Condition.HELD
+
+
+def test_restarted_controller_has_full_grace_period():
+    robot = Robot()
+    stopped = {CONTROLLER: Controller("stopped", True)}
+    assert robot.reports(mode=RobotMode.IDLE) is Condition.STARTING
+    assert robot.reports(mode=RobotMode.IDLE, controllers=stopped, after=0.9 * GRACE) is Condition.STOPPED
+    robot.readiness.set_prepared()
+    assert robot.reports(mode=RobotMode.IDLE, after=0.2 * GRACE) is Condition.STARTING
+    assert robot.reports() is Condition.READY

@@ -123,6 +123,7 @@ class Readiness:
     def set_prepared(self) -> None:
         """Record that the robot was prepared: settings made, controller started."""
         self._prepared, self._preparation_error = True, ""
+        self._uncontrolled_since = None
 
     def set_unprepared(self, error: str) -> None:
         """Record that the preparation failed; it is retried after `release`."""
@@ -204,6 +205,7 @@ class Readiness:
             (Condition.STOPPED, ours is None or not ours.is_active),
         )
         if found is not None:
+            self._uncontrolled_since = None
             return found
         if report.mode != RobotMode.MOVE:
             return self._evaluate_uncontrolled(now)
