@@ -1,9 +1,9 @@
-"""Reproduces the paper's learning-metrics figure in simulation: worlds x seeds of active learning, and random walks.
+"""Reproduce the paper's learning-metrics figure in simulation, for several worlds, seeds and random walks.
 
     source setup.bash && python3 experiments/learning_metrics.py --worlds diagonal --seeds 1 2 3 --steps 1000
 
-A run of the paper's length takes its time: 3000 steps are 9000 updates. Runs that have finished are not made again,
-those that were stopped go on, so the script can be stopped and started as one likes.
+A run of the paper's length has 3000 steps and 9000 updates. The script can be interrupted at any time: started again,
+it skips finished runs and resumes the others.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ Run = Tuple[str, str, int]  # world, explorer, seed
 
 
 def main() -> None:
-    """Make the runs that are missing, then draw and print what came out."""
+    """Complete all runs, then draw the figure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--worlds", nargs="+", default=["bottom", "diagonal", "middle", "right"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
-    parser.add_argument("--random-walk-world", default="diagonal", help="world of the random walks")
+    parser.add_argument("--random-walk-world", default="diagonal", help="world of the random walk")
     parser.add_argument("--random-walk-seeds", nargs="*", type=int, default=[0, 1, 2, 3, 4])
     parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--root", type=Path, default=Path("~/.ros/embodied_active_learning/learning_metrics"))
@@ -38,15 +38,15 @@ def main() -> None:
     root = options.root.expanduser()
     runs = [(world, "ergodic", seed) for world in options.worlds for seed in options.seeds]
     runs += [(options.random_walk_world, "random_walk", seed) for seed in options.random_walk_seeds]
-    sessions = [Session.open_read_only(make(run, options.steps, root)) for run in runs]
+    sessions = [Session.open_read_only(complete_run(run, options.steps, root)) for run in runs]
     figure = root / "learning_metrics.png"
     draw_learning_metrics(figure, sessions)
     print("\n".join(table(runs, sessions)))
     print(figure)
 
 
-def make(run: Run, steps: int, root: Path) -> Path:
-    """Make a run unless it has finished -> its session's folder. Ends the script when the run fails."""
+def complete_run(run: Run, steps: int, root: Path) -> Path:
+    """Run or resume a session unless it has finished. Return its folder; exit if the run fails."""
     world, explorer, seed = run
     path = root / f"{world}-{explorer}-{steps}-seed{seed}"
     if not has_finished(path):
@@ -59,12 +59,12 @@ def make(run: Run, steps: int, root: Path) -> Path:
             *(f"{name}:={value}" for name, value in values.items()),
         ]
         if subprocess.run(command, check=False).returncode:
-            sys.exit(f"{path} failed")
+            sys.exit(f"run failed: {path}; see the output above")
     return path
 
 
 def has_finished(path: Path) -> bool:
-    """Whether a session is there and complete."""
+    """Return whether a session exists and has finished."""
     try:
         return read_summary(path / "summary.yaml").finished
     except CorruptFileError:
@@ -72,7 +72,7 @@ def has_finished(path: Path) -> bool:
 
 
 def table(runs: List[Run], sessions: List[Session]) -> List[str]:
-    """One Markdown row a run: the measures at its end; the ergodic measure as the mean of the last 50 steps."""
+    """Return a Markdown table of the final metrics of each run; the ergodic measure is a mean over 50 steps."""
     columns = "world explorer seed ergodic_measure coverage active_units mse_own mse_shuffled mse_none log_std_range"
     lines = [f"| {columns.replace(' ', ' | ')} |", "|" + " --- |" * len(columns.split())]
     for (world, explorer, seed), session in zip(runs, sessions):

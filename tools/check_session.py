@@ -1,11 +1,8 @@
-"""Exits 0 if a part of the pipeline has finished in a session, else 1 and says so: what a run's exit status stands on.
+"""Check that a step of the pipeline has finished in a session, and print its result; exit with 1 if it has not."""
 
-check_session.py learned FOLDER | fingerprinted FOLDER | identified FOLDER NAME
-"""
-
+import argparse
 import sys
 from pathlib import Path
-from typing import List
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.objects.report import decision_table, score
@@ -16,32 +13,48 @@ from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.simulation.truth import true_scene
 
 
-def main(part: str, path: Path, names: List[str]) -> int:
-    """Say how the part ended -> exit status."""
+def main() -> int:
+    """Print the result of a step. Return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("step", choices=("learned", "fingerprinted", "identified"))
+    parser.add_argument("session", type=Path, help="folder of the session")
+    parser.add_argument("name", nargs="?", default="", help="name of the identification, for the step identified")
+    options = parser.parse_args()
+    if (options.step == "identified") != bool(options.name):
+        parser.error("give the name of the identification with the step identified, and only there")
     try:
-        sys.stdout.write(f"{CHECKS[part](path, *names)}\n")
+        sys.stdout.write(f"{check(options.step, options.session, options.name)}\n")
     except EmbodiedActiveLearningError as error:
         sys.stderr.write(f"FAILED: {error}\n")
         return 1
     return 0
 
 
+def check(step: str, path: Path, name: str) -> str:
+    """Return the result of a step as text. Raises SessionError if it has not finished."""
+    if step == "learned":
+        return learned(path)
+    if step == "fingerprinted":
+        return fingerprinted(path)
+    return identified(path, name)
+
+
 def learned(path: Path) -> str:
-    """Whether the run has written its summary."""
+    """Check for a summary of a finished run."""
     session = Session.open_read_only(path)
     if not read_summary(session.paths.summary).finished:
-        raise SessionError(f"{path} did not finish")
+        raise SessionError(f"{path} has not finished: resume the run with resume:=true")
     return f"learned: {path}"
 
 
 def fingerprinted(path: Path) -> str:
-    """Whether fingerprints are stored."""
+    """Check for stored fingerprints."""
     found = load_fingerprints(path)
     return f"fingerprinted: {', '.join(item.name for item in found.fingerprints)}"
 
 
 def identified(path: Path, name: str) -> str:
-    """Whether decisions are stored -> them beside the truth."""
+    """Check for stored decisions; return them with the true objects."""
     result = load_identification(path, name)
     sessions = dict.fromkeys(decision.session for decision in result.decisions)
     sets = [load_fingerprints(path.parent / session) for session in sessions]
@@ -49,14 +62,12 @@ def identified(path: Path, name: str) -> str:
     scored = score(result.decisions, truth)
     return (
         f"\n{decision_table(result.decisions, truth)}\n\n"
-        f"{scored.hits} of {scored.instances} known objects found, {scored.false_claims} false claims, "
+        f"{scored.hits} of {scored.instances} objects found, {scored.false_claims} false claims, "
         f"{result.images} images\n"
         f"  beliefs  {path / 'figures' / 'beliefs.png'}\n"
         f"  results  {identification_folder(path, name)}"
     )
 
 
-CHECKS = {"learned": learned, "fingerprinted": fingerprinted, "identified": identified}
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], Path(sys.argv[2]), sys.argv[3:]))
+    sys.exit(main())

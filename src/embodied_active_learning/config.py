@@ -221,6 +221,7 @@ class SessionConfig:
     name: str = setting("", "name of the session folder; empty: made of world, explorer, seed and time")
     root: str = setting("~/.ros/embodied_active_learning", "folder of all sessions")
     resume: bool = setting(False, "continue the session of that name")
+    pdf_figures: bool = setting(False, "write each figure as PDF too")
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,12 @@ def test_session_figures_of_finished_run(tmp_path):
     assert sorted(path.name for path in session.paths.figures.iterdir()) == sorted(path.name for path in paths)
 
 
+def test_figures_are_written_as_pdf_on_request(tmp_path):
+    session = make_session(tmp_path, count=2, session={"root": str(tmp_path), "name": "a", "pdf_figures": True})
+    (figure,) = draw_session_figures(session)
+    assert figure.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
+
+
 def test_session_figures_use_loaded_images(tmp_path):
     session = make_session(tmp_path)
     save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60, "observations": 40})

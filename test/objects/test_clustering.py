@@ -233,6 +233,16 @@ def test_camera_clustering_uses_camera_states():
     assert [cluster.kind for cluster in found.clusters] == [OBJECT, OBJECT, BLANK]
 
 
+@pytest.mark.parametrize(
+    ("clustering", "bandwidth", "warned"), [("camera", 0.045, True), ("camera", 0.09, False), ("table", 0.09, True)]
+)
+def test_bandwidth_that_does_not_fit_clustering_is_warned_about(caplog, clustering, bandwidth, warned):
+    config = configuration({"clustering": clustering, "bandwidth": bandwidth, "min_contrast": 100.0})
+    cluster_table(TWO, config, count=30)
+    expected = f"fingerprint/bandwidth {bandwidth} m does not fit clustering: {clustering}"
+    assert (expected in caplog.text) is warned
+
+
 def test_entropy_is_averaged_over_latents():
     assert_found(objects(cluster_table(TWO, entropy=Halves([thing.pose for thing in TWO]))), TWO)
 

@@ -1,4 +1,4 @@
-"""A painted table: discs of two colours, photographed from any state, and a model that has learned some of them."""
+"""A painted table: images of two-coloured discs from any state, and an ideal model of some of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from embodied_active_learning.geometry import intrinsics, optical_rotation
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 
 TABLE = (150, 140, 130)
-# What there is to be painted: the colour of the disc, and that of its half on the side of its own x.
+# Colours of each kind: of the disc, and of its half on the side of its x axis.
 KINDS = (
     ((210, 30, 30), (250, 200, 40)),
     ((30, 60, 210), (60, 220, 220)),
@@ -29,7 +29,7 @@ class Thing(NamedTuple):
 
 
 def seen_points(states, camera):
-    """The point of the table (N, H, W, 2) [m] in every pixel, by the camera matrix and the camera's orientation."""
+    """Return the table point (N, H, W, 2) [m] of every pixel, from camera matrix and orientation."""
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
     rays = np.stack((columns, rows, np.ones_like(rows)), axis=-1) * camera.distance
     rays = rays @ np.linalg.inv(intrinsics(camera.width, camera.height, camera.field_of_view)).T
@@ -38,7 +38,7 @@ def seen_points(states, camera):
 
 
 def paint(states, things: Sequence[Thing], camera: CameraConfig, noise=3.0, seed=0):
-    """Photographs (N, H, W, 3) uint8 of the things from states (N, 3); noise: of the table, grey levels."""
+    """Return images (N, H, W, 3) uint8 of things from states (N, 3); noise: standard deviation [grey levels]."""
     random = np.random.default_rng(seed)
     parts = np.array_split(np.asarray(states).reshape(-1, 3), 1 + len(states) // 64)
     return np.concatenate([_paint(part, things, camera, noise, random) for part in parts])
@@ -55,7 +55,7 @@ def _paint(states, things, camera, noise, random):
 
 
 def _cover(images, points, thing, poses):
-    """Paint a thing over images whose pixels show these points, in each image at a pose of its own (N, 3)."""
+    """Paint a thing into images with the given table points, at one pose (N, 3) per image."""
     across, along = np.moveaxis(points - poses[:, None, None, :2], -1, 0)
     inside = across**2 + along**2 < thing.radius**2
     towards = across * np.cos(poses[:, 2])[:, None, None] + along * np.sin(poses[:, 2])[:, None, None]
@@ -65,23 +65,23 @@ def _cover(images, points, thing, poses):
 
 
 def random_states(workspace, count, seed=0):
-    """States (N, 3) all over a workspace, m, m, rad."""
+    """Return states (N, 3) [m, m, rad] across a workspace."""
     return np.random.default_rng(seed).uniform(workspace.lower, workspace.upper, (count, 3))
 
 
 class PaintedModel:
-    """What a well trained model would answer on a painted table, in place of a TrainedModel.
+    """Stands in for a well trained TrainedModel on a painted table.
 
-    It knows some things where they stood when it learned. A latent says which one is in view, or the bare table, or
-    something strange; and where that stands, if the image was taken where the encoder is told. The decoder paints the
-    thing about where it stood, not quite in its colours, and is unsure where the thing does not belong.
+    A latent encodes which thing is in view (or table, or an unknown thing) and its pose if the image was taken at the
+    given state. The decoder paints the thing near its learned pose, in slightly different colours, and predicts a
+    large standard deviation elsewhere.
     """
 
-    IMPERFECTION = 20.0  # grey levels
-    SURE, FAIR, UNSURE = 0.01, 0.08, 0.3  # predicted standard deviations of the table, a thing, and what is not known
-    _IDENTITY, _PLACE, _TURN = 6.0, 0.012, 4.0  # how much things differ; m and 1/rad that change a latent by 1
-    _BELONGS = 0.08  # m
-    _GIVES_WAY = (0.006, 0.006, 0.25)  # m, m, rad: farthest that a thing is painted from where it stood
+    IMPERFECTION = 20.0  # colour error of reconstructions, grey levels
+    SURE, FAIR, UNSURE = 0.01, 0.08, 0.3  # predicted standard deviations of table, thing, and anything unknown
+    _IDENTITY, _PLACE, _TURN = 6.0, 0.012, 4.0  # latent distance between things; m and 1/rad per unit of a latent
+    _KNOWN_RADIUS = 0.08  # m around a learned pose within which the decoder is certain
+    _LARGEST_SHIFT = (0.006, 0.006, 0.25)  # m, m, rad: from the learned pose in a reconstruction
 
     def __init__(self, config: Config, weights: Dict[str, torch.Tensor]) -> None:
         self.camera, self.workspace = config.camera, config.workspace.box()
@@ -90,7 +90,7 @@ class PaintedModel:
         self.encoded = 0
 
     def image_features(self, images):
-        """(N, 4): index of the thing that takes most room, and how it lies in the camera's frame [m, m, rad]."""
+        """(N, 4): index of the largest thing in view, and its pose in the camera frame [m, m, rad]."""
         self.encoded += len(images)
         points = seen_points(np.zeros((1, 3)), self.camera)[0]
         return np.array([self._features(codes, points) for codes in _codes(images)], np.float32).reshape(-1, 4)
@@ -125,26 +125,26 @@ class PaintedModel:
         for number, thing in enumerate(self.known):
             rows = np.flatnonzero(index == number)
             own = images[rows]
-            inside = _cover(own, points[rows], thing, self._remembered(thing, latents[rows]))
+            inside = _cover(own, points[rows], thing, self._encoded_poses(thing, latents[rows]))
             own[inside] += self.IMPERFECTION
             images[rows] = own
-            std[rows[np.hypot(*(states[rows, :2] - thing.pose[:2]).T) < self._BELONGS]] = self.FAIR
+            std[rows[np.hypot(*(states[rows, :2] - thing.pose[:2]).T) < self._KNOWN_RADIUS]] = self.FAIR
         return np.clip(images / 255.0, 0.0, 1.0), std.astype(np.float32)
 
-    def _remembered(self, thing, latents):
-        """The poses (N, 3) of a thing that latents are of, about where it stood."""
+    def _encoded_poses(self, thing, latents):
+        """Poses (N, 3) of a thing encoded in latents, clipped to near its learned pose."""
         x, y, cosine, sine = latents[:, -4:].T
         turn = np.arctan2(sine, cosine + self._TURN)
         change = np.stack((self._PLACE * x, self._PLACE * y, turn), axis=1)
-        return thing.pose + np.clip(change, np.negative(self._GIVES_WAY), self._GIVES_WAY)
+        return thing.pose + np.clip(change, np.negative(self._LARGEST_SHIFT), self._LARGEST_SHIFT)
 
     def _features(self, codes, points):
         sides = [[codes == _code(colour) for colour in KINDS[thing.kind]] for thing in self.known]
         room = [np.sum(both) for both in sides]
-        strange = np.isin(codes, _CODES).sum() - sum(room)
-        if max([*room, strange]) < 5:
+        unknown = np.isin(codes, _CODES).sum() - sum(room)
+        if max([*room, unknown]) < 5:
             return len(self.known), 0.0, 0.0, 0.0
-        if strange > max(room, default=0):
+        if unknown > max(room, default=0):
             return len(self.known) + 1, 0.0, 0.0, 0.0
         index = int(np.argmax(room))
         plain, marked = sides[index]
@@ -154,7 +154,7 @@ class PaintedModel:
 
 
 def _codes(images):
-    """One number (N, H, W) for each colour."""
+    """Return one number (N, H, W) per colour."""
     return images.astype(np.int32) @ np.array([65536, 256, 1], np.int32)
 
 
@@ -166,21 +166,18 @@ _CODES = [_code(colour) for colours in KINDS for colour in colours]
 
 
 def latents_for(things: int) -> int:
-    """Latent variables of a PaintedModel of so many things."""
+    """Return the number of latents of a PaintedModel with a number of things."""
     return things + 6
 
 
 def weights_of(things: Sequence[Thing]) -> Dict[str, torch.Tensor]:
-    """The weights of a PaintedModel that knows these things."""
+    """Return the weights of a PaintedModel of these things."""
     rows = [[thing.kind, *thing.pose, thing.radius] for thing in things]
     return {"things": torch.tensor(rows, dtype=torch.float64).reshape(-1, 5)}
 
 
 def learn(things: Sequence[Thing], blank=None, session="learned", views=50, **sections) -> FingerprintSet:
-    """The fingerprints that a session has of a painted table: object-1, object-2, ... and blank-1 around a place (2,).
-
-    Their views are of the whole table, as it was when it was learned.
-    """
+    """Return the fingerprints of a painted table: object-1, object-2, ... and blank-1 around a place (2,)."""
     values = {"camera": {"width": 45, "height": 45}, "model": {"latent_size": latents_for(len(things))}}
     config = Config.from_dict({**values, **sections})
     model, box = PaintedModel(config, weights_of(things)), config.workspace.box()

@@ -77,9 +77,10 @@ def draw_beliefs(
     panels: Sequence[BeliefPanel],
     view: Optional[TopView] = None,
     truth: Truth = UNKNOWN,
+    pdf: bool = False,
 ) -> Path:
     """Draw the table from above and the belief map of every fingerprint, with one colour scale."""
-    return save(beliefs_figure(workspace, panels, view, truth), path)
+    return save(beliefs_figure(workspace, panels, view, truth), path, pdf)
 
 
 def beliefs_figure(

@@ -62,7 +62,7 @@ def draw_entropy(
     bar = figure.colorbar(image, ax=axes, shrink=0.6, pad=0.02)
     bar.set_label(r"conditional entropy: mean ln $\sigma$ of a grey level in [0, 1]", fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
-    return save(figure, path)
+    return save(figure, path, session.config.session.pdf_figures)
 
 
 def entropy_maps(model: TrainedModel, latents: np.ndarray, workspace: Workspace) -> np.ndarray:

@@ -49,12 +49,12 @@ _VIEWS_WIDTH = 4.0
 
 
 @default_style
-def draw_fingerprints(path: Path, found: FingerprintSet, objects: Sequence[Location] = ()) -> Path:
+def draw_fingerprints(path: Path, found: FingerprintSet, objects: Sequence[Location] = (), pdf: bool = False) -> Path:
     """Draw a row per fingerprint: thumbnail, views in order of time, and two maps of their camera states.
 
     objects: the true objects, where they are known.
     """
-    return save(fingerprints_figure(found, objects), path)
+    return save(fingerprints_figure(found, objects), path, pdf)
 
 
 def fingerprints_figure(found: FingerprintSet, objects: Sequence[Location] = ()) -> Figure:

@@ -17,7 +17,9 @@ MOST_TRACES = 12
 """Largest number of traces that are drawn; each takes a second."""
 
 
-def draw_identification(run: IdentificationRun, decisions: Sequence[Decision], truth: Truth = UNKNOWN) -> List[Path]:
+def draw_identification(
+    run: IdentificationRun, decisions: Sequence[Decision], truth: Truth = UNKNOWN, pdf: bool = False
+) -> List[Path]:
     """Draw the belief maps into figures/ of the session with the images, and a trace per fingerprint into the results.
 
     Returns:
@@ -26,13 +28,13 @@ def draw_identification(run: IdentificationRun, decisions: Sequence[Decision], t
     workspace = run.config.workspace.box()
     view = compose_top_view(run.pictures, run.states, run.config.camera, workspace)
     panels = [_panel(target, decisions) for target in run.identification.targets]
-    paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth)]
+    paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth, pdf)]
     for target in run.identification.targets[:MOST_TRACES]:
         own = decisions_about(decisions, target.session, target.fingerprint.name)
         path = run.folder / f"trace-{target.session}-{target.fingerprint.name}.png"
         measured = (target.trace, run.states, run.pictures)
         trace = Trace(target.label, *measured, target.fingerprint, target.threshold, own, truth)
-        paths.append(draw_trace(path, trace))
+        paths.append(draw_trace(path, trace, pdf))
     return paths
 
 

@@ -52,7 +52,7 @@ def draw_learning_metrics(
         _draw_workspace(axes[4], members[0], load_images(members[0]))
         for later in axes if index else ():
             later.set_ylabel("")
-    return save(figure, path)
+    return save(figure, path, sessions[0].config.session.pdf_figures)
 
 
 def _columns(sessions: Sequence[Session]) -> Dict[str, List[Session]]:

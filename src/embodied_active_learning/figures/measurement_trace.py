@@ -91,9 +91,9 @@ class Trace:
 
 
 @default_style
-def draw_trace(path: Path, trace: Trace) -> Path:
+def draw_trace(path: Path, trace: Trace, pdf: bool = False) -> Path:
     """Draw distances over time, measured poses, most similar stored views, and images near each decision."""
-    return save(trace_figure(trace), path)
+    return save(trace_figure(trace), path, pdf)
 
 
 def trace_figure(trace: Trace) -> Figure:

@@ -22,9 +22,9 @@ _STATE_WEIGHTS = (1.0, 1.0, 0.3)
 
 
 @default_style
-def draw_reconstructions(path: Path, model: TrainedModel, observations: Observations, columns: int = _COLUMNS) -> Path:
+def draw_reconstructions(path: Path, model: TrainedModel, observations: Observations, pdf: bool = False) -> Path:
     """Draw images of all objects and of the table, and their reconstructions from own, shuffled and no latent."""
-    chosen = select_images(observations.images, observations.states, columns)
+    chosen = select_images(observations.images, observations.states, _COLUMNS)
     states, images = observations.raw_states[chosen], observations.images[chosen]
     latents, _ = model.encode(states, images)
     sources = {
@@ -41,7 +41,7 @@ def draw_reconstructions(path: Path, model: TrainedModel, observations: Observat
     for row, (name, source) in zip(grid[1:], sources.items()):
         _draw_row(row, name, *_predict(model, source, states))
     figure.supxlabel(r"$\sigma$: predicted standard deviation of a grey level in [0, 1]", fontsize=SMALL)
-    return save(figure, path)
+    return save(figure, path, pdf)
 
 
 def select_images(images: np.ndarray, states: np.ndarray, count: int) -> np.ndarray:

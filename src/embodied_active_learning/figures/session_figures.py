@@ -32,7 +32,7 @@ def draw_session_figures(
     Returns:
         The paths of the figures.
     """
-    folder = session.paths.figures
+    folder, pdf = session.paths.figures, session.config.session.pdf_figures
     loaded = load_session_images(session) if images is None else images
     paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: loaded)]
     trained = load_session_model(session)
@@ -40,5 +40,5 @@ def draw_session_figures(
         _LOG.info("%s has no trained model yet: only %s was drawn", session.paths.path, paths[0].name)
         return paths
     paths.append(draw_entropy(folder / "entropy.png", session, trained.model, loaded, objects))
-    paths.append(draw_reconstructions(folder / "reconstructions.png", trained.model, loaded.observations))
+    paths.append(draw_reconstructions(folder / "reconstructions.png", trained.model, loaded.observations, pdf))
     return paths

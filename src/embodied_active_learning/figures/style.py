@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 from pathlib import Path
-from typing import Any, Callable, Dict, TypeVar
+from typing import Any, Callable, TypeVar
 
 import matplotlib
 import numpy as np
@@ -104,12 +104,18 @@ def spread_indices(count: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure atomically in the format of the file name, creating the folder. Return the path."""
+def save(figure: Figure, path: Path, pdf: bool = False) -> Path:
+    """Write a figure as PNG, and on request as PDF beside it, atomically; create the folder. Return the path."""
     path = Path(path)
     make_folder(path.parent)
-    stream = io.BytesIO()
-    options: Dict[str, Any] = {"pil_kwargs": {"compress_level": _COMPRESSION}} if path.suffix == ".png" else {}
-    figure.savefig(stream, format=path.suffix[1:], dpi=_DOTS_PER_INCH, **options)
-    write_bytes(path, stream.getvalue())
+    write_bytes(path, _encode(figure, "png", pil_kwargs={"compress_level": _COMPRESSION}))
+    if pdf:
+        write_bytes(path.with_suffix(".pdf"), _encode(figure, "pdf"))
     return path
+
+
+def _encode(figure: Figure, form: str, **options: Any) -> bytes:
+    """Encode a figure in a file format."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=form, dpi=_DOTS_PER_INCH, **options)
+    return stream.getvalue()

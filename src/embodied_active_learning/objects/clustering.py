@@ -6,6 +6,7 @@ Paper, appendix "Object Fingerprinting": importance sampling of the conditional 
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from typing import List, Tuple
@@ -22,6 +23,13 @@ from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
 
+_LOG = logging.getLogger(__name__)
+
+_FITTING_BANDWIDTHS = {"camera": (0.07, 0.12), "table": (0.02, 0.07)}
+"""Bandwidths [m] with which each kind of clustering locates objects well.
+
+The entropy of camera states has peaks as wide as the footprint of the camera; table points spread over one object.
+"""
 _PROPOSALS_PER_SAMPLE = 20
 """Uniformly drawn states per importance sample."""
 _PIXELS_PER_SAMPLE = 4
@@ -88,6 +96,7 @@ def find_objects(model: TrainedModel, states: np.ndarray, images: np.ndarray, co
         seed: One seed gives one result.
     """
     settings, random = config.fingerprint, generator(seed, Stream.CLUSTERING)
+    _warn_about_bandwidth(settings)
     chosen = np.sort(random.choice(len(states), min(settings.latents, len(states)), replace=False))
     latents, _ = model.encode(states[chosen], images[chosen])
     workspace = config.workspace.box()
@@ -115,6 +124,17 @@ def find_objects(model: TrainedModel, states: np.ndarray, images: np.ndarray, co
         (*(cluster for cluster, within in zip(objects, reachable) if within), blank),
         tuple(cluster for cluster, within in zip(objects, reachable) if not within),
     )
+
+
+def _warn_about_bandwidth(settings: FingerprintConfig) -> None:
+    """Log a warning if the bandwidth does not fit the kind of clustering."""
+    low, high = _FITTING_BANDWIDTHS[settings.clustering]
+    if not low <= settings.bandwidth <= high:
+        _LOG.warning(
+            "fingerprint/bandwidth %g m does not fit clustering: %s: expect wrong centres or merged objects; set it "
+            "to %g to %g m",
+            settings.bandwidth, settings.clustering, low, high,
+        )  # fmt: skip
 
 
 def _background(model: TrainedModel, latents: np.ndarray, states: np.ndarray, images: np.ndarray) -> Background:
