@@ -22,105 +22,117 @@ typedef struct {
     vec *channel_sums;
 } epilogue;
 
-/* The functions below compute tiles of N output channels, o to o + N - 1, times P columns: as many sums as there are
- * vector registers. x is the tile's first column and `step` the distance between its columns. */
-#define START_TILE(N, P)                                                                                               \
-    vec sum[P][N];                                                                                                     \
-    UNROLL for (int p = 0; p < P; p++) UNROLL for (int n = 0; n < N; n++)                                              \
-        sum[p][n] = (vec){0} + (e->bias ? e->bias[o + n] : 0.0f);
+/* The functions below compute tiles of n channels times p columns, as many sums as fit into the vector registers: 32
+ * with AVX-512, 16 otherwise. They are inlined with constant n and p, so that the compiler keeps the sums there. */
+#ifdef __AVX512F__
+#define TILE_COLUMNS 4
+#define IMAGE_TILE_COLUMNS 8 /* if there are only the three channels of an image */
+#define GRADIENT_CHANNELS 5
+#else
+#define TILE_COLUMNS 2
+#define IMAGE_TILE_COLUMNS 4
+#define GRADIENT_CHANNELS 2
+#endif
+#define MAX_CHANNELS 5
+#define MAX_COLUMNS 8
 
-#define ADD_PRODUCTS(N, P, value, step, weight)                                                                        \
-    UNROLL for (int p = 0; p < P; p++) {                                                                               \
-        LOAD(factor, (value)[p * (step)]);                                                                             \
-        UNROLL for (int n = 0; n < N; n++) sum[p][n] += factor * (weight)[n];                                          \
+typedef vec tile[MAX_COLUMNS][MAX_CHANNELS];
+
+INLINE void start_tile(tile sum, const epilogue *e, int o, int n, int p) {
+    UNROLL for (int i = 0; i < p; i++) UNROLL for (int j = 0; j < n; j++)
+        sum[i][j] = (vec){0} + (e->bias ? e->bias[o + j] : 0.0f);
+}
+
+/* sum[i][j] += value[i * step] * weight[j] */
+INLINE void add_products(tile sum, const vec *value, int step, const float *weight, int n, int p) {
+    UNROLL for (int i = 0; i < p; i++) {
+        LOAD(factor, value[i * step]);
+        UNROLL for (int j = 0; j < n; j++) sum[i][j] += factor * weight[j];
     }
+}
 
-#define STORE_TILE(N, P, x, step)                                                                                      \
-    UNROLL for (int n = 0; n < N; n++) {                                                                               \
-        vec *target = row(out, o + n, y) + (x), channel_sum = {0};                                                     \
-        const vec *mask = e->mask ? row(e->mask, o + n, y) + (x) : 0;                                                  \
-        UNROLL for (int p = 0; p < P; p++) {                                                                           \
-            vec value = sum[p][n];                                                                                     \
-            if (e->relu) value = mask_positive(value, value);                                                          \
-            if (mask) value = mask_positive(value, mask[p * (step)]);                                                  \
-            target[p * (step)] = value;                                                                                \
-            channel_sum += value;                                                                                      \
-        }                                                                                                              \
-        if (e->channel_sums) e->channel_sums[o + n] += channel_sum;                                                    \
+/* Store output channels o to o + n - 1 of row y at columns x, x + step, ... */
+INLINE void store_tile(tile sum, const feature_map *out, const epilogue *e, int o, int y, int x, int step, int n,
+                       int p) {
+    UNROLL for (int j = 0; j < n; j++) {
+        vec *target = row(out, o + j, y) + x, channel_sum = {0};
+        const vec *mask = e->mask ? row(e->mask, o + j, y) + x : 0;
+        UNROLL for (int i = 0; i < p; i++) {
+            vec value = sum[i][j];
+            if (e->relu) value = mask_positive(value, value);
+            if (mask) value = mask_positive(value, mask[i * step]);
+            target[i * step] = value;
+            channel_sum += value;
+        }
+        if (e->channel_sums) e->channel_sums[o + j] += channel_sum;
     }
+}
 
-#define CONV_TILE(N, P)                                                                                                \
-    INLINE void conv_tile_##N##_##P(const feature_map *in, const feature_map *out, const conv_layer *l, int k, int s,   \
-                                    const epilogue *e, int o, int y, int x) {                                          \
-        int O = out->channels;                                                                                         \
-        START_TILE(N, P)                                                                                               \
-        for (int c = 0; c < in->channels; c++)                                                                         \
-            for (int ky = 0; ky < k; ky++) {                                                                           \
-                const vec *value = row(in, c, y * s + ky) + x * s;                                                     \
-                const float *weight = l->conv_weight + (long)(c * k + ky) * k * O + o;                                 \
-                for (int kx = 0; kx < k; kx++, weight += O) ADD_PRODUCTS(N, P, value + kx, s, weight)                  \
-            }                                                                                                          \
-        STORE_TILE(N, P, x, 1)                                                                                         \
-    }
+INLINE void conv_tile(const feature_map *in, const feature_map *out, const conv_layer *l, int k, int s,
+                      const epilogue *e, int o, int y, int x, int n, int p) {
+    tile sum;
+    start_tile(sum, e, o, n, p);
+    for (int c = 0; c < in->channels; c++)
+        for (int ky = 0; ky < k; ky++) {
+            const vec *value = row(in, c, y * s + ky) + x * s;
+            const float *weight = l->conv_weight + (long)(c * k + ky) * k * out->channels + o;
+            for (int kx = 0; kx < k; kx++, weight += out->channels) add_products(sum, value + kx, s, weight, n, p);
+        }
+    store_tile(sum, out, e, o, y, x, 1, n, p);
+}
 
-/* Columns x = first * s + phase, x + s, ...: inner column first - i reaches the first of them with kernel column
+/* Columns first * s + phase, then every s-th: inner column first - i reaches the first one with kernel column
  * phase + i s. */
-#define CONV_TRANSPOSE_TILE(N, P)                                                                                      \
-    INLINE void conv_transpose_tile_##N##_##P(const feature_map *in, const feature_map *out, const conv_layer *l,       \
-                                              int k, int s, const epilogue *e, int o, int y, int first, int phase) {   \
-        int O = out->channels;                                                                                         \
-        long stride = channel_stride(in);                                                                              \
-        START_TILE(N, P)                                                                                               \
-        for (int ky = y % s, iy = y / s; ky < k && iy >= 0; ky += s, iy--) {                                           \
-            if (iy >= in->rows) continue;                                                                              \
-            for (int kx = phase, ix = first; kx < k && ix >= 0; kx += s, ix--) {                                       \
-                if (P == 1 && ix >= in->columns) continue;                                                             \
-                const vec *value = row(in, 0, iy) + ix;                                                                \
-                const float *weight = l->conv_transpose_weight + (long)(ky * k + kx) * O + o;                          \
-                for (int c = 0; c < in->channels; c++, value += stride, weight += (long)k * k * O)                     \
-                    ADD_PRODUCTS(N, P, value, 1, weight)                                                               \
-            }                                                                                                          \
-        }                                                                                                              \
-        STORE_TILE(N, P, first * s + phase, s)                                                                         \
+INLINE void conv_transpose_tile(const feature_map *in, const feature_map *out, const conv_layer *l, int k, int s,
+                                const epilogue *e, int o, int y, int first, int phase, int n, int p) {
+    long stride = channel_stride(in), weight_stride = (long)k * k * out->channels;
+    tile sum;
+    start_tile(sum, e, o, n, p);
+    for (int ky = y % s, iy = y / s; ky < k && iy >= 0; ky += s, iy--) {
+        if (iy >= in->rows) continue;
+        for (int kx = phase, ix = first; kx < k && ix >= 0; kx += s, ix--) {
+            if (p == 1 && ix >= in->columns) continue;
+            const vec *value = row(in, 0, iy) + ix;
+            const float *weight = l->conv_transpose_weight + (long)(ky * k + kx) * out->channels + o;
+            for (int c = 0; c < in->channels; c++, value += stride, weight += weight_stride)
+                add_products(sum, value, 1, weight, n, p);
+        }
     }
+    store_tile(sum, out, e, o, y, first * s + phase, s, n, p);
+}
 
-#define TILES(KIND) KIND(5, 4) KIND(5, 1) KIND(3, 4) KIND(3, 1) KIND(1, 4) KIND(1, 1)
-
-TILES(CONV_TILE)
-TILES(CONV_TRANSPOSE_TILE)
-CONV_TRANSPOSE_TILE(3, 8)
-
-/* All channels of P columns, so that their inputs stay in the first-level cache. */
-#define ALL_CHANNELS(KIND, P, ...)                                                                                     \
+/* Call a tile function for all channels of p columns, so that their inputs stay in the first-level cache. */
+#define FOR_ALL_CHANNELS(TILE, p, ...)                                                                                 \
     for (int o = 0; o < out->channels;) {                                                                              \
         int left = out->channels - o;                                                                                  \
-        if (left >= 5) KIND##_5_##P(in, out, l, k, s, e, o, y, __VA_ARGS__), o += 5;                                   \
-        else if (left >= 3) KIND##_3_##P(in, out, l, k, s, e, o, y, __VA_ARGS__), o += 3;                              \
-        else KIND##_1_##P(in, out, l, k, s, e, o, y, __VA_ARGS__), o += 1;                                             \
+        if (left >= 5) TILE(in, out, l, k, s, e, o, y, __VA_ARGS__, 5, p), o += 5;                                     \
+        else if (left >= 3) TILE(in, out, l, k, s, e, o, y, __VA_ARGS__, 3, p), o += 3;                                \
+        else TILE(in, out, l, k, s, e, o, y, __VA_ARGS__, 1, p), o += 1;                                               \
     }
 
 INLINE void conv_rows_of(const feature_map *in, const feature_map *out, const conv_layer *l, int k, int s,
                          const epilogue *e, int from, int to) {
     for (int y = from; y < to; y++) {
         int x = 0;
-        for (; x + 4 <= out->columns; x += 4) ALL_CHANNELS(conv_tile, 4, x)
-        for (; x < out->columns; x++) ALL_CHANNELS(conv_tile, 1, x)
+        for (; x + TILE_COLUMNS <= out->columns; x += TILE_COLUMNS) FOR_ALL_CHANNELS(conv_tile, TILE_COLUMNS, x)
+        for (; x < out->columns; x++) FOR_ALL_CHANNELS(conv_tile, 1, x)
     }
 }
 
 INLINE void conv_transpose_rows_of(const feature_map *in, const feature_map *out, const conv_layer *l, int k, int s,
                                    const epilogue *e, int from, int to) {
-    int taps = (k + s - 1) / s, columns = min(in->columns, out->columns / s);
+    int taps = (k + s - 1) / s, columns = min(in->columns, out->columns / s), is_image = out->channels == 3;
     for (int y = from; y < to; y++)
         for (int first = 0, next; first * s < out->columns; first = next) {
             /* Wide tiles only where the input has all columns of all taps. */
             int inside = first < taps - 1 ? 0 : columns - first;
-            int tile = inside >= 8 && out->channels == 3 ? 8 : inside >= 4 ? 4 : 0;
-            next = first + (tile ? tile : 1);
+            int p = is_image && inside >= IMAGE_TILE_COLUMNS ? IMAGE_TILE_COLUMNS : inside >= TILE_COLUMNS ? TILE_COLUMNS : 1;
+            next = first + p;
             UNROLL for (int phase = 0; phase < s; phase++) {
-                if (tile == 8) conv_transpose_tile_3_8(in, out, l, k, s, e, 0, y, first, phase);
-                else if (tile) ALL_CHANNELS(conv_transpose_tile, 4, first, phase)
-                else if (first * s + phase < out->columns) ALL_CHANNELS(conv_transpose_tile, 1, first, phase)
+                if (p == IMAGE_TILE_COLUMNS)
+                    conv_transpose_tile(in, out, l, k, s, e, 0, y, first, phase, 3, IMAGE_TILE_COLUMNS);
+                else if (p > 1) FOR_ALL_CHANNELS(conv_transpose_tile, TILE_COLUMNS, first, phase)
+                else if (first * s + phase < out->columns) FOR_ALL_CHANNELS(conv_transpose_tile, 1, first, phase)
             }
         }
 }
@@ -129,60 +141,54 @@ INLINE void conv_transpose_rows_of(const feature_map *in, const feature_map *out
 #define BLOCK_ROWS 2
 #define BLOCK_COLUMNS 16
 
-/* Gradients of N inner channels from a on, outer channel b, kernel row ky and K kernel columns from kx on. */
-#define WEIGHT_GRADIENT_TILE(N, K)                                                                                     \
-    INLINE void weight_gradient_tile_##N##_##K(const feature_map *inner, const feature_map *outer, int s, int a, int b, \
-                                               int ky, int kx, int y, int rows, int x, int columns, vec *out,          \
-                                               long step) {                                                            \
-        vec sum[N][K];                                                                                                 \
-        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < K; i++) sum[n][i] = out[n * step + i];           \
-        long stride = channel_stride(inner);                                                                           \
-        for (int end = y + rows; y < end; y++) {                                                                       \
-            const vec *left = row(inner, a, y) + x, *right = row(outer, b, y * s + ky) + x * s + kx;                   \
-            for (int count = columns; count > 0; count--, left++, right += s) {                                        \
-                vec value[K];                                                                                          \
-                UNROLL for (int i = 0; i < K; i++) {                                                                   \
-                    LOAD(loaded, right[i]);                                                                            \
-                    value[i] = loaded;                                                                                 \
-                }                                                                                                      \
-                UNROLL for (int n = 0; n < N; n++) {                                                                   \
-                    LOAD(factor, left[n * stride]);                                                                    \
-                    UNROLL for (int i = 0; i < K; i++) sum[n][i] += factor * value[i];                                 \
-                }                                                                                                      \
-            }                                                                                                          \
-        }                                                                                                              \
-        UNROLL for (int n = 0; n < N; n++) UNROLL for (int i = 0; i < K; i++) out[n * step + i] = sum[n][i];           \
+/* Gradients of p kernel columns from kx on of kernel row ky, for n inner channels from a on and outer channel b. */
+INLINE void weight_gradient_tile(const feature_map *inner, const feature_map *outer, int s, int a, int b, int ky,
+                                 int kx, int y, int rows, int x, int columns, vec *out, long step, int n, int p) {
+    vec sum[MAX_CHANNELS][MAX_CHANNELS];
+    UNROLL for (int j = 0; j < n; j++) UNROLL for (int i = 0; i < p; i++) sum[j][i] = out[j * step + i];
+    long stride = channel_stride(inner);
+    for (int end = y + rows; y < end; y++) {
+        const vec *left = row(inner, a, y) + x, *right = row(outer, b, y * s + ky) + x * s + kx;
+        for (int count = columns; count > 0; count--, left++, right += s) {
+            vec value[MAX_CHANNELS];
+            UNROLL for (int i = 0; i < p; i++) {
+                LOAD(loaded, right[i]);
+                value[i] = loaded;
+            }
+            UNROLL for (int j = 0; j < n; j++) {
+                LOAD(factor, left[j * stride]);
+                UNROLL for (int i = 0; i < p; i++) sum[j][i] += factor * value[i];
+            }
+        }
     }
+    UNROLL for (int j = 0; j < n; j++) UNROLL for (int i = 0; i < p; i++) out[j * step + i] = sum[j][i];
+}
 
-WEIGHT_GRADIENT_TILE(5, 5)
-WEIGHT_GRADIENT_TILE(5, 3)
-WEIGHT_GRADIENT_TILE(5, 1)
-WEIGHT_GRADIENT_TILE(1, 5)
-WEIGHT_GRADIENT_TILE(1, 3)
-WEIGHT_GRADIENT_TILE(1, 1)
-
-#define KERNEL_ROW(N)                                                                                                  \
-    for (int kx = 0; kx < k;) {                                                                                        \
-        vec *out = sums + (((long)a * outer->channels + b) * k + ky) * k + kx;                                         \
-        if (k - kx >= 5) weight_gradient_tile_##N##_5(inner, outer, s, a, b, ky, kx, y, rows, x, columns, out, step),  \
-            kx += 5;                                                                                                   \
-        else if (k - kx >= 3)                                                                                          \
-            weight_gradient_tile_##N##_3(inner, outer, s, a, b, ky, kx, y, rows, x, columns, out, step), kx += 3;      \
-        else weight_gradient_tile_##N##_1(inner, outer, s, a, b, ky, kx, y, rows, x, columns, out, step), kx += 1;     \
-    }
+/* Gradients of kernel row ky for n inner channels. */
+INLINE void kernel_row_gradient(const feature_map *inner, const feature_map *outer, int k, int s, int a, int b, int ky,
+                                int y, int rows, int x, int columns, vec *sums, int n) {
+    long step = (long)outer->channels * k * k;
+    vec *out = sums + (((long)a * outer->channels + b) * k + ky) * k;
+    int kx = 0;
+    for (; k - kx >= 5; kx += 5)
+        weight_gradient_tile(inner, outer, s, a, b, ky, kx, y, rows, x, columns, out + kx, step, n, 5);
+    for (; k - kx >= 3; kx += 3)
+        weight_gradient_tile(inner, outer, s, a, b, ky, kx, y, rows, x, columns, out + kx, step, n, 3);
+    for (; k - kx >= 1; kx += 1)
+        weight_gradient_tile(inner, outer, s, a, b, ky, kx, y, rows, x, columns, out + kx, step, n, 1);
+}
 
 INLINE void weight_gradient_rows_of(const feature_map *inner, const feature_map *outer, int k, int s, vec *sums,
                                     int from, int to) {
-    long step = (long)outer->channels * k * k;
     for (int y = from; y < to; y += BLOCK_ROWS)
         for (int x = 0; x < inner->columns; x += BLOCK_COLUMNS) {
             int rows = min(to - y, BLOCK_ROWS), columns = min(inner->columns - x, BLOCK_COLUMNS);
-            for (int a = 0, N; a < inner->channels; a += N) {
-                N = inner->channels - a >= 5 ? 5 : 1;
+            for (int a = 0, n; a < inner->channels; a += n) {
+                n = inner->channels - a >= GRADIENT_CHANNELS ? GRADIENT_CHANNELS : 1;
                 for (int b = 0; b < outer->channels; b++)
                     for (int ky = 0; ky < k; ky++) {
-                        if (N == 5) KERNEL_ROW(5)
-                        else KERNEL_ROW(1)
+                        if (n == 1) kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, 1);
+                        else kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, GRADIENT_CHANNELS);
                     }
             }
         }

@@ -11,31 +11,32 @@ typedef struct {
     int count, rows, columns, channels;
 } image_group;
 
-/* Transpose 16 consecutive bytes of `count` rows, one per image: (LANES, 16) -> (16, LANES). */
-#ifdef __AVX512BW__
-INLINE void transpose_bytes(const uint8_t *const *rows, int count, long offset, uint8_t *out) {
-    const __m128i zero = _mm_setzero_si128();
-    __m512i parts[4]; /* rows n, n + 4, n + 8 and n + 12, so that two interleavings yield four consecutive images */
-    UNROLL for (int n = 0; n < 4; n++) {
-#define ROW(i) (4 * i + n < count ? _mm_loadu_si128((const __m128i *)(rows[4 * i + n] + offset)) : zero)
-        parts[n] = _mm512_inserti32x4(_mm512_castsi128_si512(ROW(0)), ROW(1), 1);
-        parts[n] = _mm512_inserti32x4(_mm512_inserti32x4(parts[n], ROW(2), 2), ROW(3), 3);
-#undef ROW
-    }
-    __m512i low[2] = {_mm512_unpacklo_epi8(parts[0], parts[1]), _mm512_unpacklo_epi8(parts[2], parts[3])};
-    __m512i high[2] = {_mm512_unpackhi_epi8(parts[0], parts[1]), _mm512_unpackhi_epi8(parts[2], parts[3])};
-    __m512i quads[4] = {_mm512_unpacklo_epi16(low[0], low[1]), _mm512_unpackhi_epi16(low[0], low[1]),
-                        _mm512_unpacklo_epi16(high[0], high[1]), _mm512_unpackhi_epi16(high[0], high[1])};
-    const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
-    UNROLL for (int i = 0; i < 4; i++) _mm512_storeu_si512(out + 64 * i, _mm512_permutexvar_epi32(order, quads[i]));
-}
+typedef uint8_t bytes16 __attribute__((vector_size(16)));
+#ifdef __clang__
+#define SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
 #else
-INLINE void transpose_bytes(const uint8_t *const *rows, int count, long offset, uint8_t *out) {
-    memset(out, 0, 16 * LANES);
-    for (int n = 0; n < count; n++)
-        for (int i = 0; i < 16; i++) out[i * LANES + n] = rows[n][offset + i];
-}
+#define SHUFFLE(a, b, ...) __builtin_shuffle(a, b, (bytes16){__VA_ARGS__})
 #endif
+
+/* Transpose 16 consecutive bytes of `count` rows, one per image: (LANES, 16) -> (16, LANES). */
+INLINE void transpose_bytes(const uint8_t *const *rows, int count, long offset, uint8_t *out) {
+    bytes16 parts[LANES];
+    UNROLL for (int n = 0; n < LANES; n++) {
+        parts[n] = (bytes16){0};
+        if (n < count) memcpy(&parts[n], rows[n] + offset, 16);
+    }
+    for (int round = 1; round < LANES; round *= 2) { /* each round interleaves the first half with the second */
+        bytes16 next[LANES];
+        UNROLL for (int i = 0; i < LANES / 2; i++) {
+            bytes16 a = parts[i], b = parts[i + LANES / 2];
+            next[2 * i] = SHUFFLE(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+            next[2 * i + 1] = SHUFFLE(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+        }
+        UNROLL for (int i = 0; i < LANES; i++) parts[i] = next[i];
+    }
+    memcpy(out, parts, 16 * LANES);
+}
+#undef SHUFFLE
 
 /* Row y of the images as (columns * channels, LANES) bytes; missing images are zero. */
 static void read_byte_row(const image_group *g, int y, uint8_t *out) {
@@ -50,10 +51,12 @@ static void read_byte_row(const image_group *g, int y, uint8_t *out) {
 
 /* One value in [0, 1] per image. */
 INLINE vec pixel(const uint8_t *bytes, long index) {
-    vec value;
-#ifdef __AVX512F__ /* GCC does not find this conversion */
-    value = _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)(bytes + index * LANES))));
+#if defined __AVX512F__ /* GCC does not find these conversions */
+    vec value = _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)(bytes + index * LANES))));
+#elif defined __AVX2__
+    vec value = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(bytes + index * LANES))));
 #else
+    vec value;
     for (int lane = 0; lane < LANES; lane++) value[lane] = bytes[index * LANES + lane];
 #endif
     return value * (1.0f / 255.0f);

@@ -3,7 +3,12 @@
 
 #include "vectors.h"
 
-#define PANEL_VECTORS 4 /* vectors of columns that one pass computes */
+/* Vectors of columns that one pass computes: with 6 rows, as many sums as fit into the registers. */
+#ifdef __AVX512F__
+#define PANEL_VECTORS 4
+#else
+#define PANEL_VECTORS 2
+#endif
 #define PANEL_COLUMNS (PANEL_VECTORS * LANES)
 #define PACKED_PANELS 2 /* panels of the right factor that are packed together */
 #define PACKED_DEPTH 512 /* rows of a packed panel: small enough for the second-level cache */

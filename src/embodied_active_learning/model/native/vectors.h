@@ -3,11 +3,16 @@
 
 #include <stdint.h>
 
-#ifdef __AVX512F__
+#ifdef __AVX__
 #include <immintrin.h>
+#endif
+
+#if defined __AVX512F__
 #define LANES 16
-#else
+#elif defined __AVX__
 #define LANES 8
+#else
+#define LANES 4
 #endif
 
 typedef float vec __attribute__((vector_size(4 * LANES)));
