@@ -183,6 +183,35 @@ def test_object_reaching_the_camera_is_rejected(tmp_path, extra):
     load_world(path, WORKSPACE, CameraConfig(distance=0.5))
 
 
+def test_object_out_of_view_is_logged(tmp_path, caplog):
+    """The camera sees 8 cm of the table on each side, 11 cm along its diagonal."""
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"objects: {{a: {DUCK.replace('0.4, 0.0', '0.4, 0.29')}}}")
+    load_world(path, WORKSPACE, CameraConfig())
+    assert caplog.text == ""
+    path.write_text(f"objects: {{a: {DUCK.replace('0.4, 0.0', '0.4, 0.34')}}}")
+    load_world(path, WORKSPACE, CameraConfig())
+    assert "objects/a at [0.4, 0.34] is never in the camera's view: move it into the workspace" in caplog.text
+
+
+def test_object_without_colour_is_logged(tmp_path, caplog):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 0.05 0 0\nv 0 0.05 0\nf 1 2 3\n")
+    mesh = '<visual><geometry><mesh filename="a.obj"/></geometry></visual>'
+    (tmp_path / "a.urdf").write_text(f'<robot name="a"><link name="a">{mesh}</link></robot>')
+    path = tmp_path / "mine.yaml"
+    path.write_text("objects: {a: {urdf: a.urdf, position: [0.4, 0.0], colour: [1, 0, 0]}}")
+    load_world(path, WORKSPACE)
+    assert caplog.text == ""
+    path.write_text("objects: {a: {urdf: a.urdf, position: [0.4, 0.0]}}")
+    load_world(path, WORKSPACE)
+    assert "objects/a is rendered white" in caplog.text
+
+
+def test_number_of_objects_is_limited(load):
+    with pytest.raises(WorldError, match="201 objects: at most 200"):
+        load("objects:\n" + "\n".join(f"  a{number}: {DUCK}" for number in range(201)))
+
+
 def test_table_of_one_colour_is_logged(tmp_path, caplog):
     """The planner holds the arm for images of one colour."""
     path = tmp_path / "mine.yaml"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Dict, List, Optional, Tuple
@@ -86,14 +87,16 @@ def _read_libraries(mesh: Mesh) -> Dict[str, _Material]:
 
 def missing_libraries(mesh: Mesh) -> List[Path]:
     """Return the material files of a mesh that do not exist."""
-    return [path for library in mesh.libraries for path in _library_paths(library, mesh.path) if not path.exists()]
+    return [
+        path for library in mesh.libraries for path in _library_paths(library, mesh.path) if not os.path.exists(path)
+    ]
 
 
 def _library_paths(library: str, mesh: Path) -> List[Path]:
     """Paths of an mtllib statement: one name, which may contain blanks, or several names."""
     if "\0" in library or not library:
         raise WorldError(f"mesh {mesh}: invalid material file {shown(library)}")
-    names = [library] if (mesh.parent / library).exists() else library.split()
+    names = [library] if os.path.exists(mesh.parent / library) else library.split()
     return [mesh.parent / name for name in names]
 
 
@@ -166,7 +169,7 @@ def _find(materials: Dict[str, _Material], name: Optional[str], mesh: Mesh) -> _
 
 def _texture_path(name: str, mesh: Path) -> Path:
     path = mesh.parent / name
-    if not path.exists():
+    if not os.path.exists(path):
         hint = " (a Windows path? use / in it)" if "\\" in name or ":" in name else ""
         raise WorldError(f"mesh {mesh}: its texture {path} is missing{hint}: copy it there, or fix the MTL file")
     return path

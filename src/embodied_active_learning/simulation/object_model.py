@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Optional, Tuple
@@ -37,6 +38,8 @@ class ObjectModel:
     upper: Vector
     colour: Vector
     """RGB in [0, 1] of the URDF or MTL file; multiplies a texture."""
+    has_colour: bool
+    """Whether its files define a colour or texture; white otherwise."""
     shape: Mesh = field(repr=False, compare=False)
     appearance: Appearance = field(repr=False, compare=False)
 
@@ -91,6 +94,7 @@ def read_model(urdf: Path) -> ObjectModel:
         lower=tuple(vertices.min(axis=0).tolist()),
         upper=tuple(vertices.max(axis=0).tolist()),
         colour=appearance.colour,
+        has_colour=visual.find("material") is not None or bool(mesh.libraries) or mesh.vertex_colours is not None,
         shape=mesh,
         appearance=appearance,
     )
@@ -153,7 +157,7 @@ def _locate(urdf: Path, address: str) -> Path:
     if not address or "\0" in address:
         raise WorldError(f"URDF {urdf}: invalid file name {shown(address)}")
     path = locate(address, urdf.parent)
-    if "\\" in address and not path.exists():
+    if "\\" in address and not os.path.exists(path):
         raise WorldError(f"URDF {urdf}: {path} is missing (a Windows path?): use / in file names")
     return path
 

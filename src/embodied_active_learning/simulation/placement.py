@@ -12,6 +12,8 @@ import numpy as np
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.geometry import metres_per_pixel
+from embodied_active_learning.workspace import Workspace
 
 if TYPE_CHECKING:
     from embodied_active_learning.simulation.world import PlacedObject, Table
@@ -53,6 +55,24 @@ def check_heights(objects: Sequence[PlacedObject], camera: CameraConfig) -> None
                 f"objects/{item.name} reaches {100 * top:.1f} cm above the table, the camera is at "
                 f"{100 * camera.distance:.1f} cm (camera/distance): keep {100 * CLEARANCE:.0f} cm below it, by height, "
                 "scale or size"
+            )
+
+
+def warn_of_unseen(objects: Sequence[PlacedObject], workspace: Workspace, camera: CameraConfig) -> None:
+    """Log objects that are out of the camera's view from everywhere in the workspace."""
+    half_view = np.array([camera.width, camera.height]) * metres_per_pixel(camera) / 2.0
+    reach = float(np.hypot(*half_view))  # the camera may have any yaw
+    lower, upper = np.array(workspace.lower[:2]) - reach, np.array(workspace.upper[:2]) + reach
+    for item in objects:
+        corners = item.corners()
+        if np.any(corners.max(axis=0) < lower) or np.any(corners.min(axis=0) > upper):
+            _log.warning(
+                "objects/%s at %s is never in the camera's view: move it into the workspace (x %s m, y %s m), or "
+                "enlarge the workspace",
+                item.name,
+                list(item.position),
+                [workspace.lower[0], workspace.upper[0]],
+                [workspace.lower[1], workspace.upper[1]],
             )
 
 

@@ -7,7 +7,7 @@ import math
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Optional, Tuple, Union
+from typing import Dict, Optional, Tuple, Union
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from embodied_active_learning.schema import load, nearest
 from embodied_active_learning.simulation.assets import check_picture
 from embodied_active_learning.simulation.materials import Appearance
 from embodied_active_learning.simulation.object_model import ObjectModel, read_model
-from embodied_active_learning.simulation.placement import check_heights, check_objects
+from embodied_active_learning.simulation.placement import check_heights, check_objects, warn_of_unseen
 from embodied_active_learning.simulation.resources import locate, worlds_folder
 from embodied_active_learning.simulation.world_settings import (
     Disturbances,
@@ -31,6 +31,7 @@ from embodied_active_learning.simulation.world_settings import (
 from embodied_active_learning.workspace import Workspace
 
 _TABLE_MARGIN = 0.25  # m of table around the workspace: more than half the camera's footprint
+_MAX_OBJECTS = 200
 _READER = FileReader(WorldError, "see docs/worlds.md and the worlds in worlds/", follow=True)
 
 _log = logging.getLogger(__name__)
@@ -120,6 +121,7 @@ def load_world(name_or_path: Union[str, Path], workspace: Workspace, camera: Opt
     if camera is not None:
         try:
             check_heights(world.objects, camera)
+            warn_of_unseen(world.objects, workspace, camera)
         except WorldError as error:
             raise WorldError(f"{path}: {error}") from error
         _warn_of_plain_table(world, camera)
@@ -130,7 +132,7 @@ def build_world(settings: WorldSettings, workspace: Workspace, path: Path) -> Wo
     """Build a world from its settings; path: of its file, for relative paths, its name, and messages."""
     try:
         table = _build_table(settings.table, path.parent, workspace)
-        objects = tuple(_place(name, item, path.parent) for name, item in settings.objects.items())
+        objects = _place_all(settings.objects, path.parent)
         check_objects(objects, table)
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from error
@@ -151,11 +153,23 @@ def find_world(name_or_path: Union[str, Path]) -> Path:
     return worlds_folder() / f"{name}.yaml"
 
 
-def _place(name: str, settings: ObjectSettings, folder: Path) -> PlacedObject:
-    try:
-        model = read_model(locate(settings.urdf, folder))
-    except WorldError as error:
-        raise WorldError(f"objects/{name}/urdf: {error}") from error
+def _place_all(settings: Dict[str, ObjectSettings], folder: Path) -> Tuple[PlacedObject, ...]:
+    """Read each model once, and place all objects."""
+    if len(settings) > _MAX_OBJECTS:
+        raise WorldError(f"{len(settings)} objects: at most {_MAX_OBJECTS} are supported")
+    models: Dict[str, ObjectModel] = {}
+    for name, item in settings.items():
+        try:
+            if item.urdf not in models:
+                models[item.urdf] = read_model(locate(item.urdf, folder))
+        except WorldError as error:
+            raise WorldError(f"objects/{name}/urdf: {error}") from error
+    return tuple(_place(name, item, models[item.urdf]) for name, item in settings.items())
+
+
+def _place(name: str, settings: ObjectSettings, model: ObjectModel) -> PlacedObject:
+    if settings.colour is None and not model.has_colour:
+        _log.warning("objects/%s is rendered white: %s defines no colour; set colour in the world", name, model.urdf)
     stem = model.urdf.stem
     scale = 1.0 if settings.scale is None else settings.scale
     return PlacedObject(
