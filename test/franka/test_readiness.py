@@ -33,7 +33,7 @@ class Robot:
         self.readiness.begin_recovery()
         assert self.reports(REFLEX) is Condition.RECOVERING
         self.readiness.end_recovery(error)
-        assert error or self.reports(REFLEX) is Condition.STARTING, "a state from before the recovery is no new reflex"
+        assert error or self.reports(REFLEX) is Condition.STARTING, "an older state is no new reflex"
 
     @property
     def explanation(self):

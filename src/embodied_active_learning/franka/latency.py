@@ -55,7 +55,7 @@ def estimate_latency(
 ) -> LatencyEstimate:
     """Return the latency that best aligns the rotation of the images with the measured yaw.
 
-    The motion has to change its direction: at one constant rate a latency cannot be told from an offset.
+    The motion has to change its direction: at a constant rate, latency and offset have the same effect.
 
     Args:
         image_stamps: (N,) s, ascending.

@@ -176,7 +176,7 @@ class Readiness:
         if found is not None:
             return found
         if self.has_error:
-            # States from before a recovery may still arrive after it.
+            # Older states may still arrive after a recovery.
             return Condition.STARTING if now < self._recovered_at + GRACE else self._evaluate_reflex()
         return self._evaluate_control(report, now)
 

@@ -302,19 +302,19 @@ def test_failed_command_leaves_arm_free():
 @pytest.mark.parametrize("caller", ["/operator", "/ergodic_planner"])
 def test_stop_signal_names_stopping_node(caller):
     arbiter = ArmArbiter(5.0, Clock())
-    told = []
+    events = []
 
     def stop():
         with arbiter.stop(request(caller)):
-            told.append("stopped")
+            events.append("stopped")
 
     with arbiter.command(request("/ergodic_planner")) as signal:
         assert not signal.is_set()
         thread = in_a_thread(stop)
         wait_for(signal.is_set)
-        assert not told, "the stop must wait until the command has ended"
+        assert not events, "the stop must wait until the command has ended"
     thread.join(10.0)
-    assert (signal.by, told) == (caller, ["stopped"])
+    assert (signal.by, events) == (caller, ["stopped"])
 
 
 def test_stop_signal_is_not_set_for_later_command():

@@ -45,7 +45,13 @@ class ArmArbiter:
     """
 
     def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic, stopped_by: str = "") -> None:
-        """Timeout: wall seconds; stopped_by: the node whose stop is still in force from before a restart."""
+        """Create a free arm, or one that was stopped before the arm's node restarted.
+
+        Args:
+            timeout: Wall seconds without a heartbeat after which a commander loses control.
+            clock: Returns wall time in seconds.
+            stopped_by: Name of the node whose stop is still in force.
+        """
         self._timeout = timeout
         self._clock = clock
         self._lock = threading.Lock()
@@ -57,15 +63,19 @@ class ArmArbiter:
         self._stopped_by = stopped_by
         self._stops = 0  # number of stops that need a recovery
         self._closed_by = ""
-        self._motion_lock = threading.Lock()  # held by whoever makes the arm move
+        self._motion_lock = threading.Lock()  # held while the arm moves
         self._stop_signal = StopSignal()  # of the command in progress
 
     @contextmanager
     def command(self, request: Any) -> Iterator[StopSignal]:
-        """Give one command exclusive use of the arm -> the signal that is set when a stop arrives meanwhile.
+        """Give one command exclusive use of the arm. A stop waits for it to end, so a long command checks the signal.
 
-        A stop waits for the command to end, so a long command has to check the signal. Raises ArmBusyError naming the
-        commander, or ArmStoppedError.
+        Yields:
+            The signal that is set when a stop arrives meanwhile.
+
+        Raises:
+            ArmBusyError: Another node controls the arm; the message names it.
+            ArmStoppedError: The arm was stopped and has not been recovered.
         """
         signal = self._begin(name_of_caller(request))
         try:
@@ -122,9 +132,10 @@ class ArmArbiter:
 
     @contextmanager
     def expired(self) -> Iterator[str]:
-        """Hold the arm while braking for a commander that fell silent without releasing it; reported once.
+        """Hold the arm while braking for a commander that fell silent without releasing it.
 
-        -> its name; empty when there is none.
+        Yields:
+            Its name, once; empty if no commander has fallen silent.
         """
         with self._motion_lock:
             with self._lock:
