@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import site
+import sys
 from pathlib import Path
 from typing import Iterator
 
@@ -66,6 +68,9 @@ def _candidates(package: str) -> Iterator[Path]:
         yield folder / package
     for folder in _folders("CMAKE_PREFIX_PATH"):
         yield folder / "share" / package
+    if package == PACKAGE:  # where pip installs them
+        for prefix in (sys.prefix, site.getuserbase(), Path(__file__).resolve().parents[2]):
+            yield Path(prefix) / "share" / package
 
 
 def _folders(variable: str) -> Iterator[Path]:
