@@ -17,11 +17,16 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Config": "config",
     "EXPLORERS": "registry",
+    "Explorer": "exploration.explorer",
+    "MEASURES": "registry",
+    "PoseCommand": "exploration.commands",
     "Session": "session.session",
+    "VelocityCommand": "exploration.commands",
     "fingerprint": "pipeline.api",
     "identify": "pipeline.api",
     "learn": "pipeline.learning",
     "load_config": "pipeline.api",
+    "load_model": "pipeline.api",
     "load_session": "pipeline.api",
 }
 

@@ -23,7 +23,7 @@ from embodied_active_learning.hardware_config import (
     SimulationConfig,
     WorkspaceConfig,
 )
-from embodied_active_learning.registry import EXPLORERS
+from embodied_active_learning.registry import EXPLORERS, MEASURES
 from embodied_active_learning.schema import build, check_keys, nearest, setting, to_plain
 from embodied_active_learning.workspace import STATE_NAMES
 
@@ -91,6 +91,7 @@ class ExplorationConfig:
     """The exploration, and the samples that measure coverage."""
 
     explorer: str = setting("ergodic", "exploration strategy", choices=EXPLORERS)
+    measure: str = setting("conditional_entropy", "information measure that becomes the target", choices=MEASURES)
     steps: int = setting(3000, "exploration steps, one observation each", "", 1, 1000000)
     seed: int = setting(0, "random seed", "", 0, 2**31 - 1)
     step_duration: float = setting(0.2, "time between observations", "s", 0.01, 10.0)

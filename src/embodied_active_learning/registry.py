@@ -75,3 +75,9 @@ EXPLORERS = Registry(
     },
 )
 """Values of exploration/explorer: callables (config: Config, seed: int) -> Explorer."""
+
+MEASURES = Registry(
+    "information measure",
+    {"conditional_entropy": "embodied_active_learning.exploration.objective:target_distribution"},
+)
+"""Values of exploration/measure: callables (log_std (S,), coverage k) -> target distribution (S,), sum 1."""

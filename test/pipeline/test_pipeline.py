@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import pytest
 import rosbag
 
+import embodied_active_learning as eal
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
@@ -50,6 +51,13 @@ def test_run_ends_with_figures_and_summary(first):
     assert finished(path), output
     assert "active units" in output
     assert str(path / "figures" / "learning_metrics.png") in output
+
+
+def test_run_without_ros_gives_the_same_content(first, tmp_path):
+    path, _ = first
+    session = eal.learn(eal.load_config(str(SHORT), root=str(tmp_path), name="run", seed=1, max_lag=0))
+    for name in ("exploration.csv", "training.csv", "evaluation.csv", "model.safetensors"):
+        assert (session.paths.path / name).read_bytes() == (path / name).read_bytes(), name
 
 
 def recorded(path):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Union
+from typing import Any, Dict, List, Mapping, Optional, Union
 
 from embodied_active_learning.config import Config, SessionConfig
 from embodied_active_learning.errors import ConfigError, ObservationError
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
@@ -18,6 +19,7 @@ from embodied_active_learning.pipeline.resolve import resolve_changes
 from embodied_active_learning.schema import nearest, settings
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session, find_session, session_root
+from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import load_world
 
@@ -48,6 +50,12 @@ def load_session(session: SessionLike) -> Session:
     if isinstance(session, str) and os.sep not in session:
         return Session.open_read_only(find_session(session_root(Config(session=SessionConfig())), session))
     return Session.open_read_only(Path(os.path.abspath(os.path.expanduser(session))))
+
+
+def load_model(session: SessionLike) -> Optional[TrainedModel]:
+    """Return the newest model of a session; None before the first update. Raises CorruptFileError if it is damaged."""
+    found = load_session_model(load_session(session))
+    return None if found is None else found.model
 
 
 def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: Any) -> FingerprintSet:

@@ -15,10 +15,9 @@ from embodied_active_learning.exploration.objective import (
     flat_distribution,
     kl_ergodic,
     normalise,
-    target_distribution,
 )
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.registry import EXPLORERS
+from embodied_active_learning.registry import EXPLORERS, MEASURES
 from embodied_active_learning.rng import resumed_seed
 from embodied_active_learning.state_dict import StateDict, add_prefix, matching_arrays, select_prefix
 
@@ -72,6 +71,7 @@ class ExplorationRun:
         config = replace(config, exploration=exploration)
         self._samples = WorkspaceSamples(config, self._workspace.normalise(visited))
         self._explorer: Explorer = EXPLORERS[exploration.explorer](config, seed)
+        self._measure = MEASURES[exploration.measure]
         self._step_duration = exploration.step_duration
         self._step = len(visited)
         self._state: Optional[np.ndarray] = visited[-1] if len(visited) else None
@@ -129,7 +129,7 @@ class ExplorationRun:
         if log_std is None:
             self._target = flat_distribution(len(visitation))
         else:
-            self._target = target_distribution(log_std, coverage)
+            self._target = self._measure(log_std, coverage)
         return Assessment(
             step=self._step,
             target=self._target,

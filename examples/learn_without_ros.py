@@ -1,0 +1,49 @@
+#!/usr/bin/env python3
+"""Learn a simulated world and find its objects in another one, without ROS.
+
+pip install . && python3 examples/learn_without_ros.py
+"""
+
+import argparse
+import sys
+
+import embodied_active_learning as eal
+
+
+def main(steps: int, images: int, root: str) -> None:
+    """Learn, fingerprint and identify."""
+    config = eal.load_config("demo", world="right", steps=steps, root=root)
+    session = eal.learn(config, show)
+    prints = eal.fingerprint(session)
+    print(f"\nfingerprints: {', '.join(item.name for item in prints.fingerprints)}")
+
+    # Images of another table: an exploration that does not train.
+    other_table = eal.load_config(
+        "demo",
+        world="star_plant_duck",
+        explorer="uniform_ergodic",
+        steps=images,
+        updates_per_observation=0,
+        root=root,
+    )
+    other = eal.learn(other_table, show)
+    print()
+    for decision in eal.identify(session, images_of=other):
+        x, y, theta = decision.pose
+        print(f"{decision.fingerprint}: {decision.reason}; best at x {x:.3f} m, y {y:.3f} m, yaw {theta:.2f} rad")
+
+
+def show(progress) -> None:
+    """Print one line of progress."""
+    line = f"step {progress.step}/{progress.steps}, update {progress.updates}/{progress.updates_planned}"
+    sys.stdout.write(f"\r{line}, loss {progress.loss:.3f} ")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=1000, help="exploration steps")
+    parser.add_argument("--images", type=int, default=1000, help="images of the other table")
+    parser.add_argument("--root", default="~/.ros/embodied_active_learning", help="folder of the sessions")
+    options = parser.parse_args()
+    main(options.steps, options.images, options.root)

@@ -1,0 +1,145 @@
+"""The Python API: learn, fingerprint and identify in one process, without ROS."""
+
+import json
+import subprocess
+import sys
+
+import genpy
+import numpy as np
+import pytest
+
+import embodied_active_learning as eal
+from embodied_active_learning.errors import ConfigError, SessionError
+from embodied_active_learning.pipeline import learning
+from embodied_active_learning.pipeline.learning import learn, ros_seconds
+from embodied_active_learning.session.summary import read_summary
+from tiny import STEPS, TINY
+
+
+def tiny(root, name="run", **overrides):
+    return eal.load_config("", root=str(root), name=name, **{**TINY, **overrides})
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """A finished session, and the progress reports of its run."""
+    reports = []
+    session = learn(tiny(tmp_path_factory.mktemp("learned")), reports.append)
+    return session, reports
+
+
+def test_run_ends_with_model_and_summary(learned):
+    session, _ = learned
+    summary = read_summary(session.paths.summary)
+    assert summary.finished
+    assert (summary.steps, summary.updates) == (STEPS, 3 * STEPS)
+    assert summary.wall_time > 0.0
+    assert eal.load_model(session).latent_size == 2
+    with session.open_observations() as store:
+        assert len(store) == STEPS
+        np.testing.assert_array_equal(session.read_table("exploration")["x"], store.raw_states[:, 0])
+
+
+def test_progress_is_reported_after_each_step(learned):
+    _, reports = learned
+    assert [report.step for report in reports[:STEPS]] == list(range(1, STEPS + 1))
+    assert reports[STEPS - 1].updates_planned == 3 * STEPS
+    assert reports[-1].share == pytest.approx(1.0)
+
+
+def test_one_seed_gives_one_result(learned, tmp_path):
+    session, _ = learned
+    again = learn(tiny(tmp_path))
+    for name in ("exploration.csv", "training.csv", "evaluation.csv", "model.safetensors"):
+        assert (again.paths.path / name).read_bytes() == (session.paths.path / name).read_bytes(), name
+
+
+def test_interrupted_run_is_resumed(tmp_path):
+    """An exception in the callback stands for Ctrl-C."""
+
+    def interrupt(progress):
+        if progress.step == 15:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        learn(tiny(tmp_path), interrupt)
+    session = learn(eal.load_config("", root=str(tmp_path), name="run", resume=True))
+    assert read_summary(session.paths.summary).finished
+    assert list(session.read_table("exploration")["step"]) == list(range(1, STEPS + 1))
+
+
+def test_training_error_ends_the_run(tmp_path, monkeypatch):
+    def fail(*arguments):
+        raise SessionError("the disk is full")
+
+    monkeypatch.setattr(learning.TrainingRun, "train", fail)
+    with pytest.raises(SessionError, match="the disk is full"):
+        learn(tiny(tmp_path))
+
+
+def test_real_robot_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="arm/robot is franka: only the simulation"):
+        learn(tiny(tmp_path, robot="franka"))
+
+
+@pytest.mark.parametrize("from_stored", [False, True])
+def test_fingerprints_are_found_in_another_session(learned, tmp_path, from_stored):
+    session, _ = learned
+    found = eal.fingerprint(session, from_stored=from_stored, views=2)
+    assert [len(item.images) for item in found.fingerprints] == [2] * len(found.fingerprints)
+    other = learn(tiny(tmp_path, "other", explorer="uniform_ergodic", updates_per_observation=0, world="right"))
+    decisions = eal.identify(session, images_of=other, images=10, name="first", decision="belief", min_belief=0.0)
+    assert {decision.fingerprint for decision in decisions} <= {item.name for item in found.fingerprints}
+    with pytest.raises(SessionError, match="first"):
+        eal.identify(session, images_of=other, name="first")
+    with pytest.raises(SessionError, match=f"only {STEPS} images: ask for fewer"):
+        eal.identify([session], images_of=other, images=STEPS + 1)
+
+
+def test_session_is_loaded_by_object_path_and_name(learned, tmp_path, monkeypatch):
+    session, _ = learned
+    assert eal.load_session(session) is session
+    assert eal.load_session(session.paths.path).name == "run"
+    assert eal.load_session(str(session.paths.path)).name == "run"
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with pytest.raises(SessionError, match="session is 'run', but there is no such session"):
+        eal.load_session("run")
+
+
+def test_config_keys_are_given_by_name_or_section(tmp_path):
+    config = tiny(tmp_path, world="right", planner={"horizon": 5})
+    assert (config.planner.horizon, config.exploration.steps) == (5, STEPS)
+    assert config.simulation.world.endswith("right.yaml")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"stepps": 3}, "unknown key stepps: did you mean steps"),
+        ({"samples": 3}, r"samples is a key of several sections: give exploration={'samples': ...} or fingerprint="),
+        ({"exploration": {"stepps": 3}}, "unknown key exploration/stepps: did you mean exploration/steps"),
+        ({"seed": "x"}, "exploration/seed is 'x': expected a whole number"),
+    ],
+)
+def test_wrong_config_key_is_refused(tmp_path, overrides, message):
+    with pytest.raises(ConfigError, match=message):
+        eal.load_config("demo", root=str(tmp_path), **overrides)
+
+
+def test_times_are_rounded_like_ros_times():
+    for seconds in (0.0, 1.2, 0.1 + 0.2, 1234.567890123):
+        assert ros_seconds(seconds) == genpy.Time.from_sec(seconds).to_sec()
+
+
+def test_package_import_is_fast_and_free_of_ros():
+    """Nothing heavy is imported before the first use, and ROS never."""
+    code = """
+import json, sys
+import embodied_active_learning as eal
+early = [name for name in ("numpy", "torch", "pybullet", "rospy") if name in sys.modules]
+eal.learn, eal.fingerprint, eal.identify, eal.load_config, eal.load_session, eal.Session, eal.EXPLORERS
+late = [name for name in sys.modules if name.split(".")[0] in ("rospy", "genpy", "rosgraph", "catkin_pkg")]
+print(json.dumps([early, late, "learn" in dir(eal), hasattr(eal, "nothing")]))
+"""
+    output = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert json.loads(output.splitlines()[-1]) == [[], [], True, False]
