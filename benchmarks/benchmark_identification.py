@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Times identification: images a second against the plain way, and sixty fingerprints of twenty models.
+"""Measure identification: images per second compared with a naive variant, and sixty fingerprints of twenty models.
 
     source setup.bash && python3 benchmarks/benchmark_identification.py
 
-Models have random weights, views and images are noise, all in the paper's sizes: speed does not depend on them.
-The fast and the plain way take turns in one process: other load on the machine meets both alike. Trust the ratio first.
+Models have random weights, views and images are noise, in the paper's sizes; the speed does not depend on them.
+Both variants alternate in one process, so other load on the machine affects them alike. The ratio is most reliable.
 """
 
 from __future__ import annotations
@@ -30,31 +30,30 @@ from embodied_active_learning.objects.matching import Matcher
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.session import Session
 
-CENTRES = ((0.42, -0.06, 0.3), (0.55, 0.05, -0.5), (0.40, 0.08, 0.0))  # m, m, rad; the last one is the blank's
+CENTRES = ((0.42, -0.06, 0.3), (0.55, 0.05, -0.5), (0.40, 0.08, 0.0))  # m, m, rad; the last one is a blank
 VIEWS = 50
 FULL_STREAM = 2000  # images
-STREAM_PART = 64  # images that the identifier takes at a time
-PLAIN_PART = 4
+STREAM_PART = 64  # images that the identifier processes at a time
+NAIVE_PART = 4
 
-# Noise raises no belief. Here each of a fingerprint's twelve candidates counts as raised and pointed to, has as many
-# views as are compared at most, also in a short stream, and is settled at its first yaw: twelve comparisons for each
-# fingerprint. In the simulator's streams there were about six.
+# Noise has no belief peaks. With these limits, each of a fingerprint's twelve candidates is compared once with the
+# largest number of views, also in a short stream. In simulated streams there were about six comparisons.
 SETTINGS = IdentificationConfig(min_prominence=0.0, min_agreement=0.0, view_distance=0.2)
 
 
 class Stream(NamedTuple):
-    """Images (N, H, W, 3) uint8 and where they were taken, states (N, 3) [m, m, rad]."""
+    """Images (N, H, W, 3) uint8 and their camera states (N, 3) [m, m, rad]."""
 
     states: np.ndarray
     images: np.ndarray
 
     def part(self, begin: int, end: int) -> Stream:
-        """Those from one index to the next."""
+        """Return the images from an index up to another."""
         return Stream(self.states[begin:end], self.images[begin:end])
 
 
-class PlainIdentification:
-    """The plain way: each image through the whole network once for each stored view, then through every grid cell."""
+class NaiveIdentification:
+    """Naive variant: encode each image once for every stored view, and update every grid cell one image at a time."""
 
     def __init__(self, found: FingerprintSet) -> None:
         config, workspace = found.config, found.config.workspace.box()
@@ -70,7 +69,7 @@ class PlainIdentification:
         self._sums = [(prior.copy(), 0.5 * prior) for _ in found.fingerprints]
 
     def observe(self, states: np.ndarray, images: np.ndarray) -> None:
-        """Take the next images of the stream."""
+        """Process the next images of the stream."""
         for state, image, weight in zip(states, images, self._weights.update(states)):
             for index, item in enumerate(self._fingerprints):
                 distances = np.linalg.norm(self._latents(item.states, image) - item.latent_means, axis=1)
@@ -79,7 +78,7 @@ class PlainIdentification:
                 self._update(index, pose, float(self._matcher.value(distances[view])), weight)
 
     def mean(self, index: int) -> np.ndarray:
-        """Belief (nx, ny, nyaw) of a fingerprint."""
+        """Return the belief (nx, ny, nyaw) of a fingerprint."""
         information, weighted = self._sums[index]
         return weighted / information
 
@@ -98,20 +97,20 @@ class PlainIdentification:
         along = [np.exp(full * energy.min() - energy) for energy in energies]
         footprint = np.multiply.outer(np.multiply.outer(along[0], along[1]), along[2])
         far = SETTINGS.near_variance / SETTINGS.far_pull
-        told = weight / (far + footprint * (SETTINGS.near_variance - far))
-        information += told
-        weighted += told * value
+        added = weight / (far + footprint * (SETTINGS.near_variance - far))
+        information += added
+        weighted += added * value
 
 
 def make_stream(config: Config, count: int, seed: int = 0) -> Stream:
-    """Noise, seen from all over the workspace."""
+    """Return images of noise from states across the workspace."""
     random, box = np.random.default_rng(seed), config.workspace.box()
     shape = (count, config.camera.height, config.camera.width, 3)
     return Stream(random.uniform(box.lower, box.upper, (count, 3)), random.integers(0, 256, shape, dtype=np.uint8))
 
 
 def make_set(config: Config, seed: int = 0) -> FingerprintSet:
-    """A random model, and noise as the views of two objects and of a blank place."""
+    """Return a set with a random model and noise as the views of two objects and a blank."""
     torch.manual_seed(seed)
     weights = ConditionalVAE((config.camera.height, config.camera.width), 3, config.model).state_dict()
     model, random, fingerprints = TrainedModel(config, weights), np.random.default_rng(seed), []
@@ -125,24 +124,24 @@ def make_set(config: Config, seed: int = 0) -> FingerprintSet:
 
 
 def make_identification(sets: List[FingerprintSet]) -> Identification:
-    """Looks for all fingerprints of the sets."""
+    """Return an identification of all fingerprints of the sets."""
     config = sets[0].config
     return Identification(sets, config.workspace.box(), config.camera, SETTINGS)
 
 
 def rate_section(config: Config, rounds: int) -> Section:
-    """One image with three fingerprints of one model, fast and plain, and how far their beliefs differ."""
+    """Measure one image with three fingerprints of one model, in both variants, and compare their beliefs."""
     found = make_set(config)
-    fast, plain = make_identification([found]), PlainIdentification(found)
+    fast, naive = make_identification([found]), NaiveIdentification(found)
     stream = make_stream(config, (rounds + 1) * STREAM_PART)
-    turns: Dict[str, List[Turn]] = {"plain": [], "fast": []}
+    turns: Dict[str, List[Turn]] = {"naive": [], "fast": []}
     for index in range(rounds + 1):
         part = stream.part(index * STREAM_PART, (index + 1) * STREAM_PART)
-        turns["plain"].append(_an_image(plain.observe, part.part(0, PLAIN_PART)))
+        turns["naive"].append(_an_image(naive.observe, part.part(0, NAIVE_PART)))
         turns["fast"].append(_an_image(fast.observe, part))
-    plain_turns, fast_turns = turns["plain"][1:], turns["fast"][1:]  # the first round warms up
-    rows = [row("each image through the network for each view", plain_turns)]
-    rows.append(row("as the identifier does it", fast_turns, plain_turns, "100 images/s"))
+    naive_turns, fast_turns = turns["naive"][1:], turns["fast"][1:]  # the first round warms up
+    rows = [row("naive: encode each image for every view", naive_turns)]
+    rows.append(row("identifier", fast_turns, naive_turns, "100 images/s"))
     rows[-1].value = f"{1e3 / rows[-1].wall:.0f} images/s"
     how = (
         f"Three fingerprints of {VIEWS} views of one model; time of one image. Largest difference between the beliefs:"
@@ -152,19 +151,19 @@ def rate_section(config: Config, rounds: int) -> Section:
 
 
 def many_section(config: Config, models: int, images: int) -> Section:
-    """What three fingerprints of each of many models cost, from their files to the decisions."""
+    """Measure three fingerprints of each of many models, from reading their files to the decisions."""
     sets: List[FingerprintSet] = []
     with tempfile.TemporaryDirectory() as root:
         folder = _store_set(replace(config, session=replace(config.session, root=root)))
-        # Read once for each model: the same numbers in memory of their own.
+        # Read once per model, so that each has its own memory.
         for index in range(models):
             sets.append(replace(load_fingerprints(folder), session=f"session-{index}"))
         reading = timed(lambda: load_fingerprints(folder)).wall * models
-    looking: List[Identification] = []
-    construction = timed(lambda: looking.append(make_identification(sets))).wall
+    searches: List[Identification] = []
+    construction = timed(lambda: searches.append(make_identification(sets))).wall
     stream = make_stream(config, images)
-    observing = timed(lambda: _observe(looking[0], stream)).wall / images
-    deciding = timed(lambda: looking[0].decide(*stream)).wall
+    observing = timed(lambda: _observe(searches[0], stream)).wall / images
+    deciding = timed(lambda: searches[0].decide(*stream)).wall
     whole = (reading + construction + deciding + observing * FULL_STREAM) / 1e3
     measured = "" if images == FULL_STREAM else f", extrapolated from {images} images"
     rows = [
@@ -175,38 +174,38 @@ def many_section(config: Config, models: int, images: int) -> Section:
         Row("whole", value=f"{whole:.0f} s for {FULL_STREAM} images{measured}", target="180 s"),
         Row("resident memory", value=f"{resident_memory():.0f} MiB"),
     ]
-    how = f"{len(looking[0].targets)} fingerprints of {models} models, twelve comparisons for each."
+    how = f"{len(searches[0].targets)} fingerprints of {models} models, twelve comparisons each."
     return Section("Identification: many models", how, rows)
 
 
-def _observe(looking: Identification, stream: Stream) -> None:
-    """In the parts in which the identifier takes a stream."""
+def _observe(searches: Identification, stream: Stream) -> None:
+    """Process a stream in parts of the identifier's size."""
     for begin in range(0, len(stream.states), STREAM_PART):
-        looking.observe(*stream.part(begin, begin + STREAM_PART))
+        searches.observe(*stream.part(begin, begin + STREAM_PART))
 
 
 def _store_set(config: Config) -> Path:
-    """A session with fingerprints and nothing else -> its folder."""
+    """Store a session with fingerprints only. Return its folder."""
     with Session.open_for_writing(config) as session:
         save_fingerprints(session.paths.path, make_set(config))
         return session.paths.path
 
 
 def _difference(found: FingerprintSet, stream: Stream) -> float:
-    fast, plain = make_identification([found]), PlainIdentification(found)
-    for one in (fast, plain):
-        one.observe(*stream.part(0, PLAIN_PART))
-    return max(float(np.abs(item.grid.mean - plain.mean(index)).max()) for index, item in enumerate(fast.targets))
+    fast, naive = make_identification([found]), NaiveIdentification(found)
+    for one in (fast, naive):
+        one.observe(*stream.part(0, NAIVE_PART))
+    return max(float(np.abs(item.grid.mean - naive.mean(index)).max()) for index, item in enumerate(fast.targets))
 
 
 def _an_image(observe: Callable[[np.ndarray, np.ndarray], None], stream: Stream) -> Turn:
-    """What one of the stream's images takes."""
+    """Return the time of one image of a stream."""
     turn, count = timed(lambda: observe(*stream)), len(stream.states)
     return Turn(turn.wall / count, turn.cpu / count, turn.faults // count)
 
 
 def measure(arguments: argparse.Namespace) -> List[Section]:
-    """Both sections."""
+    """Return both sections."""
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     config = Config.from_dict({"session": {"name": "benchmark"}})

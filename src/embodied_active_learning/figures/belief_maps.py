@@ -1,4 +1,4 @@
-"""Belief maps of an identification: where each fingerprint is believed to be, and where it was found."""
+"""Belief maps of an identification: the belief of each fingerprint over x and y, and the decisions."""
 
 from __future__ import annotations
 

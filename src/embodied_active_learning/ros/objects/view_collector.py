@@ -103,7 +103,7 @@ class ViewCollector:
 
 
 def _stop(arm: RetryingArm) -> None:
-    """Stop the arm; if it does not respond, it stops by itself because no command follows."""
+    """Stop the arm. Without a response it stops anyway, because no command follows."""
     try:
         arm.stop()
     except (EmbodiedActiveLearningError, rospy.ROSException) as error:

@@ -2,7 +2,7 @@
 
 The action has feedback and a cancel request. A call of the service is cancelled if its caller dies, or by a request to
 cancel all goals: `rostopic pub -1 /fingerprint/cancel actionlib_msgs/GoalID {}`. Ctrl-C in `rosservice call` is not
-enough: rospy goes on waiting for the response.
+enough, because rospy keeps waiting for the response.
 """
 
 from __future__ import annotations
@@ -164,8 +164,8 @@ class TaskServer:
 def is_connected(connection: socket.socket) -> bool:
     """Return whether the other end of a connection has not closed it; data of a next request is not read."""
     poll = select.poll()
-    poll.register(connection, select.POLLIN)
     try:
+        poll.register(connection, select.POLLIN)
         return not poll.poll(0) or bool(connection.recv(1, socket.MSG_PEEK))
-    except OSError:
+    except (OSError, ValueError):  # ValueError: closed by this side
         return False
