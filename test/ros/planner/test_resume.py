@@ -5,8 +5,12 @@ import pytest
 import rospy
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CommandError
+from embodied_active_learning.exploration.commands import PoseCommand
 from embodied_active_learning.pipeline.exploration import ExplorationRun
+from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import state_arrays, state_message
+from embodied_active_learning.ros.planner import resume as resume_module
 from embodied_active_learning.ros.planner.resume import PlannerResume
 
 CONFIG = Config.from_dict({"exploration": {"samples": 50, "fresh_samples": 5}})
@@ -72,3 +76,39 @@ def test_damaged_state_ignored_with_warning(resume, warned, tmp_path):
     path.write_bytes(path.read_bytes()[:-1])
     assert resume.load(TRAJECTORY) is None
     assert str(path) in warned[0]
+
+
+class Arm:
+    """Records its commands; restoring a simulated arm fails on request."""
+
+    def __init__(self, failure=None):
+        self.failure = failure
+        self.commands = []
+
+    def restore(self, state):
+        if self.failure:
+            raise self.failure
+        return state
+
+    def execute(self, command):
+        self.commands.append(command)
+        return state_message(rospy.Time(9), command.state, np.zeros(3))
+
+
+def test_simulated_arm_restored_exactly(resume, monkeypatch):
+    monkeypatch.setattr(resume_module, "is_advertised", lambda name: name == names.ARM_RESTORE)
+    point = resume.load(TRAJECTORY)
+    assert resume.return_arm(point, Arm()) == (point.state, point.state)
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_arm_returned_to_pose_at_rest(resume, monkeypatch, warned, simulated):
+    """As a real arm, or as a simulated one that cannot be restored."""
+    monkeypatch.setattr(resume_module, "is_advertised", lambda name: simulated)
+    arm = Arm(CommandError("beyond the limits"))
+    reached, state = resume.return_arm(resume.load(TRAJECTORY), arm)
+    assert arm.commands == [PoseCommand(*TRAJECTORY[2])]
+    assert reached.header.stamp == rospy.Time(9)
+    assert state.header.stamp == rospy.Time(7, 8)
+    np.testing.assert_array_equal(np.concatenate(state_arrays(state)), [*TRAJECTORY[2], 0.0, 0.0, 0.0])
+    assert ["no longer bit-identical: beyond the limits" in line for line in warned] == [True] * simulated

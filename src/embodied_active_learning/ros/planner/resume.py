@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 import rospy
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.errors import CommandError, CorruptFileError
+from embodied_active_learning.exploration.commands import PoseCommand
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.pipeline.exploration import ExplorationRun
+from embodied_active_learning.ros import names
+from embodied_active_learning.ros.arm.retrying_arm import RetryingArm
 from embodied_active_learning.ros.conversions import state_arrays, state_message
+from embodied_active_learning.ros.runtime.services import is_advertised
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.planner_state import PlannerState, load_planner_state, save_planner_state
 
@@ -68,3 +72,22 @@ class PlannerResume:
             return None
         state = state_message(rospy.Time(*planner.stamp), planner.state, planner.velocity)
         return ResumePoint(run, state, planner.index < stored)
+
+    def return_arm(self, point: ResumePoint, arm: RetryingArm) -> Tuple[PlanarState, PlanarState]:
+        """Return the arm to a resume point: a simulated arm exactly, any other to the same pose, at rest.
+
+        Returns:
+            the state reached, and the observation's state with the velocity from which the run continues.
+
+        Raises:
+            CommandError, ShutdownRequestedError: see RetryingArm.
+        """
+        if is_advertised(names.ARM_RESTORE):
+            try:
+                return arm.restore(point.state), point.state
+            except CommandError as error:  # for instance if the arm's limits have been changed since
+                rospy.logwarn("arm returns to the last pose; the run is no longer bit-identical: %s", error)
+        point.run.interrupt()
+        pose, _ = state_arrays(point.state)
+        reached = arm.execute(PoseCommand.from_array(self._config.workspace.box().clip(pose)))
+        return reached, state_message(point.state.header.stamp, pose, np.zeros(3))

@@ -1,0 +1,78 @@
+"""Training progress as messages and diagnostics, without a master."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN
+from embodied_active_learning.ros.trainer import status as status_module
+from embodied_active_learning.ros.trainer.status import TrainerStatus
+
+CONFIG = Config()
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A training run with 80 observations that has made 10 of 48 updates due."""
+    values = {"observations": 80, "updates": 10, "updates_due": 48, "skipped": 0, "rollbacks": 0, "finished": False}
+    return SimpleNamespace(folder=tmp_path, **values)
+
+
+@pytest.fixture
+def status(run, monkeypatch):
+    messages = []
+    publisher = SimpleNamespace(publish=messages.append)
+    monkeypatch.setattr(status_module.rospy, "Publisher", lambda *arguments, **options: publisher)
+    monkeypatch.setattr(status_module.rospy.Time, "now", lambda: status_module.rospy.Time(1))
+    monkeypatch.setattr(status_module, "WallTimer", lambda period, function: None)
+    monkeypatch.setattr(status_module, "report_health", lambda name, health: None)
+    status = TrainerStatus(run, CONFIG)
+    status.messages = messages
+    return status
+
+
+def test_message_before_first_update_has_nan_losses(status):
+    status.publish()
+    [message] = status.messages
+    assert (message.observations, message.updates, message.updates_due, message.finished) == (80, 10, 48, False)
+    assert message.loss != message.loss
+
+
+def test_message_contains_newest_update(status):
+    terms = ("loss", "reconstruction", "conditional_reconstruction", "kl", "beta", "gamma", "active_units")
+    status.on_update(SimpleNamespace(**{term: float(index) for index, term in enumerate(terms)}))
+    status.publish()
+    assert [getattr(status.messages[0], term) for term in terms] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "level", "message"),
+    [
+        ({}, OK, "training"),
+        ({"updates": 48}, OK, "waiting for observation 81"),
+        ({"observations": 3, "updates": 0, "updates_due": 0}, OK, "observation 4; training starts with number 64"),
+        ({"finished": True}, OK, "finished"),
+        ({"rollbacks": 2}, WARN, "rolled back 2 times"),
+        ({"rollbacks": 2, "finished": True}, OK, "finished"),
+    ],
+)
+def test_health_reports_activity(status, run, changes, level, message):
+    run.__dict__.update(changes)
+    health = status.health()
+    assert health.level == level
+    assert message in health.message
+
+
+def test_health_reports_full_disk_as_warning(status, monkeypatch):
+    def refuse(*arguments):
+        raise SessionError("disk full")
+
+    monkeypatch.setattr(status_module, "check_space", refuse)
+    assert (status.health().level, status.health().message) == (WARN, "disk full")
+
+
+def test_health_reports_failed_training_as_error(status):
+    status.error = RuntimeError("training failed")
+    assert (status.health().level, status.health().message) == (ERROR, "training failed")
