@@ -29,7 +29,7 @@ from embodied_active_learning.workspace import STATE_NAMES
 
 __all__ = ["REAL", "RECORDED", "SIMULATED", "ArmConfig", "CameraConfig", "FrankaConfig", "WorkspaceConfig"]
 _DIMENSIONS = len(STATE_NAMES)
-_PROFILE_READER = FileReader(ConfigError, "a profile has sections of keys as in config/paper.yaml", follow=True)
+_PROFILE_READER = FileReader(ConfigError, "a profile has sections of keys as in config/default.yaml", follow=True)
 
 
 @dataclass(frozen=True)

@@ -143,3 +143,19 @@ def test_every_setting_has_a_meaning():
 def test_generated_files_are_up_to_date():
     for path, text in generate_docs.generated_files().items():
         assert path.read_text(encoding="utf-8") == text, f"{path} is outdated: run make docs"
+
+
+def test_paper_profile_differs_from_the_defaults():
+    """Each value of a profile of differences is a difference, and the paper's are those that the paper states."""
+    for name in ("paper", "demo"):
+        default = Config().to_dict()
+        values = load_profile(ROOT / "config" / f"{name}.yaml")
+        assert [key for section, keys in values.items() for key in keys if default[section][key] == keys[key]] == []
+    config = Config.from_dict(load_profile(ROOT / "config" / "paper.yaml"))
+    assert (config.planner.random_candidates, config.planner.normalise_kernels) == (0, False)
+    assert (config.fingerprint.clustering, config.identification.evidence) == ("camera", "counted")
+    assert config.objective.beta_max > 16.0, "beta reaches about 16 without a limit"
+
+
+def test_default_profile_is_the_default_configuration():
+    assert Config.from_dict(load_profile(ROOT / "config" / "default.yaml")) == Config()

@@ -144,7 +144,7 @@ def _base(
         path = session_path(given)
         if path.is_dir():
             stored = Session.open_read_only(path).config.to_dict()
-    base = stored if stored and not profile else merge(stored, load_profile(find_profile(profile or "paper", folder)))
+    base = stored if stored and not profile else merge(stored, load_profile(find_profile(profile or "default", folder)))
     if not robot_profile and not stored and given.arm.robot == REAL:
         robot_profile = REAL
     return merge(base, load_profile(find_profile(robot_profile, folder))) if robot_profile else base

@@ -158,7 +158,7 @@ def test_profile_overrides_recorded_settings(tmp_path):
     config = resolve_replay(recording, "", target)
     assert (config.arm.robot, config.exploration.steps, config.training.learning_rate) == ("recording", 70, 0.002)
     assert config.camera.width == 8
-    assert resolve_replay(recording, "paper", [*target, "exploration/steps=66"]).training.learning_rate == 0.001
+    assert resolve_replay(recording, "default", [*target, "exploration/steps=66"]).training.learning_rate == 0.001
     with pytest.raises(BagError, match="has 70 observations, 71 steps were requested"):
         resolve_replay(recording, "", [*target, "exploration/steps=71"])
 

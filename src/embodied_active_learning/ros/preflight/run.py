@@ -118,7 +118,7 @@ def find_config(robot_profile: str, has_master: bool) -> Tuple[Config, List[Chec
     if system_config is not None and system_config.arm.robot != RECORDED:
         return system_config, [ok("configuration", f"parameter {name}, arm/robot {system_config.arm.robot}")]
     folder = package_folder(PACKAGE) / "config"
-    profile = load_profile(find_profile("paper", folder))
+    profile = load_profile(find_profile("default", folder))
     if robot_profile:
         profile = merge(merge(profile, load_profile(find_profile(robot_profile, folder))), {"arm": {"robot": REAL}})
     state = "is not set" if system_config is None else "belongs to a replay, which has no arm"
