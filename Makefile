@@ -8,7 +8,7 @@
 
 SHELL := /bin/bash
 VENV := .venv
-COMPILED := $(wildcard msg/*.msg srv/*.srv src/*/model/native/*.[ch])
+COMPILED := $(wildcard msg/*.msg srv/*.srv action/*.action src/*/model/native/*.[ch])
 KERNELS := $(wildcard src/embodied_active_learning/model/native/*.[ch])
 
 all: build
