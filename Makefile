@@ -8,7 +8,7 @@
 
 SHELL := /bin/bash
 VENV := .venv
-COMPILED := $(wildcard msg/*.msg srv/*.srv action/*.action src/*/model/native/*.[ch])
+INTERFACES := $(wildcard msg/*.msg srv/*.srv action/*.action)
 KERNELS := $(wildcard src/embodied_active_learning/model/native/*.[ch])
 
 all: build
@@ -20,8 +20,13 @@ $(VENV)/installed: requirements.txt tools/install.sh tools/debian-packages.txt t
 
 build: build/built
 
+# The build contains absolute paths: a moved checkout is built again.
+ifeq ($(shell [ "$$(sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' build/CMakeCache.txt 2> /dev/null)" -ef . ] && echo same),)
+.PHONY: build/built
+endif
+
 # The devel space refers to the Python sources, so only messages and kernels have to be built again.
-build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(COMPILED) $(KERNELS)
+build/built: $(VENV)/installed CMakeLists.txt package.xml setup.py $(INTERFACES) $(KERNELS)
 	tools/build.sh
 	touch $@
 
