@@ -100,7 +100,7 @@ def save_identification(
         raise SessionError(f"{len(rows)} decisions are too many for {folder}: search for fewer fingerprints")
     make_folder(folder)
     remove_leftovers(folder)
-    for stale in (folder / DECISIONS_FILE, *folder.glob("*.png")):
+    for stale in (folder / DECISIONS_FILE, *folder.glob("*.png"), *folder.glob("*.pdf")):
         remove_file(stale)
     write_tensors(folder / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
     write_tensors(folder / TRACE_FILE, "trace", _trace(identification), facts)

@@ -379,6 +379,39 @@ def test_stop_during_pause_follows_command_in_progress(arm, retrying):
     assert retrying.was_held
 
 
+class InterruptibleArm(Arm):
+    """A go_to ends with an error when the arm is stopped."""
+
+    def __init__(self):
+        super().__init__()
+        self.stopped = threading.Event()
+
+    def go_to(self, pose):
+        self.calls.append(("go_to", *pose))
+        assert self.stopped.wait(10.0)
+        raise ArmFailedError("stopped")
+
+    def stop(self):
+        self.calls.append(("stop",))
+        self.stopped.set()
+
+
+def test_cancel_stops_command_in_progress_without_retry(monkeypatch, camera):
+    arm = InterruptibleArm()
+    monkeypatch.setattr(retrying_arm, "ArmClient", lambda: arm)
+    retrying = retrying_arm.RetryingArm(Config())
+
+    def cancel():
+        wait_for(lambda: arm.calls)
+        retrying.cancel()
+
+    cancelling = in_a_thread(cancel)
+    with pytest.raises(ArmFailedError, match="stopped"):
+        retrying.go_to((0.4, 0.1, 1.0))
+    cancelling.join(10.0)
+    assert arm.calls == [("go_to", 0.4, 0.1, 1.0), ("stop",)]
+
+
 def test_pause_suspends_retries(arm, camera, retrying):
     camera.failures = [ObservationError("no image") for _ in range(10**4)]
     look = in_a_thread(retrying.observe, REACHED)

@@ -193,9 +193,9 @@ class RetryingArm:
         """Stop the command in progress, so that the current call raises its error without a retry; from any thread."""
         self._retry.cancel()
         try:
-            # Not behind the lock, which the command in progress holds. A stop by another node than the commander would
-            # be an emergency stop.
-            if self.in_control and self._arm.heartbeat():
+            # Without the lock, which the command in progress holds. Only the commander's heartbeat is granted; a stop by
+            # another node would be an emergency stop.
+            if self._arm.heartbeat():
                 self._arm.stop()
         except CommandError as error:
             rospy.logwarn("stop not confirmed: %s", error)
