@@ -193,8 +193,8 @@ class RetryingArm:
         """Stop the command in progress, so that the current call raises its error without a retry; from any thread."""
         self._retry.cancel()
         try:
-            # Without the lock, which the command in progress holds. Only the commander's heartbeat is granted; a stop by
-            # another node would be an emergency stop.
+            # Without the lock, which the command in progress holds. Only the commander's heartbeat is granted: a stop
+            # by another node would be an emergency stop.
             if self._arm.heartbeat():
                 self._arm.stop()
         except CommandError as error:
