@@ -176,7 +176,7 @@ class IdentificationConfig:
     )
     decision: str = setting(
         "verified",
-        "criterion: agreement of the views of each candidate (verified), or mean belief above min_belief (belief)",
+        "criterion: views of each candidate, with limits set by the fingerprint (verified), or min_belief (belief)",
         choices=("verified", "belief"),
     )
     evidence: str = setting(
@@ -200,19 +200,21 @@ class IdentificationConfig:
         (40, 40, 18), "cells of a belief grid in x, y and yaw", "", 4, 500, length=_DIMENSIONS
     )
     margin: float = setting(0.0225, "extent of the belief grid beyond the workspace", "m", 0.0, 0.5)
-    candidates: int = setting(12, "largest number of candidates (peaks of a belief)", "", 1, 1000)
+    candidates_from: str = setting(
+        "images",
+        "candidates of decision verified: places that look like the object (images), or peaks of the belief (belief)",
+        choices=("images", "belief"),
+    )
+    candidates: int = setting(8, "largest number of candidates", "", 1, 1000)
     separation: float = setting(0.06, "smallest distance between two objects", "m", 0.005, 1.0)
     min_belief: float = setting(0.5, "smallest mean belief of an object found by decision: belief", "", 0.0, 1.0)
-    residual_limit: float = setting(0.065, "largest residual of an agreeing view; 1 is white", "", 0.0, 1.0)
-    agreement_distance: float = setting(
-        0.02, "largest distance from the candidate to the place an agreeing view points to", "m", 0.001, 0.5
+    error_rate: float = setting(
+        0.05, "accepted rate of errors: objects missed, and look-alikes taken for the object", "", 0.001, 0.5
     )
-    min_agreement: float = setting(0.55, "smallest share of agreeing views", "", 0.0, 1.0)
-    min_prominence: float = setting(0.01, "smallest prominence of a candidate above the median belief", "", 0.0, 1.0)
-    object_radius: float = setting(0.045, "radius around a candidate that is compared", "m", 0.005, 0.5)
-    view_distance: float = setting(0.04, "largest distance of a compared view from the candidate", "m", 0.005, 0.5)
-    views: int = setting(30, "largest number of compared views of a candidate", "", 1, 1000)
-    min_views: int = setting(5, "smallest number of views for a decision", "", 1, 1000)
+    trials: int = setting(39, "simulated places and look-alikes from which a fingerprint sets its limits", "", 1, 10000)
+    view_distance: float = setting(0.045, "largest distance of a compared view from the candidate", "m", 0.005, 0.5)
+    views: int = setting(5, "largest number of compared views of a candidate", "", 2, 1000)
+    min_coverage: float = setting(0.95, "share of the workspace to be seen before an object is not here", "", 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -251,10 +253,6 @@ class Config:
             (
                 self.arm.robot == SIMULATED and not box.contains(start),
                 f"simulation/start {start} is outside the workspace: move it, or enlarge the workspace",
-            ),
-            (
-                self.identification.min_views > self.identification.views,
-                "identification/min_views is larger than identification/views: nothing would be found",
             ),
             (
                 self.exploration.step_duration > self.arm.max_duration,

@@ -11,7 +11,7 @@ from typing import Any, Dict, Mapping, Optional
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
 
-CONFIG_VERSION = 3
+CONFIG_VERSION = 4
 FIRST_BAG_VERSION = 2
 """Version of the configuration in bags that do not state one."""
 
@@ -19,6 +19,14 @@ _RENAMED: Mapping[int, Mapping[str, Optional[str]]] = {
     3: {
         "identification/mismatch_limit": "identification/residual_limit",
         "identification/min_rise": "identification/min_prominence",
+    },
+    4: {
+        "identification/residual_limit": None,
+        "identification/agreement_distance": None,
+        "identification/min_agreement": None,
+        "identification/min_prominence": None,
+        "identification/object_radius": None,
+        "identification/min_views": None,
     },
 }
 """Version -> old key -> its name since that version, or None if it was removed."""

@@ -15,7 +15,7 @@ from embodied_active_learning.figures.belief_maps import BeliefPanel, beliefs_fi
 from embodied_active_learning.figures.fingerprint_sheet import draw_fingerprints, fingerprints_figure
 from embodied_active_learning.figures.measurement_trace import NEAR_DECISION, Trace, draw_trace, trace_figure
 from embodied_active_learning.figures.top_view import compose_top_view
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matches
 from embodied_active_learning.objects.report import Truth
@@ -53,7 +53,8 @@ def make_set(fingerprints, session="a"):
 
 def make_decision(x=0.5, y=0.1, yaw=0.5, instance=1, kind=OBJECT, reason="27 of 30 views agree"):
     pose = np.array([x, y, yaw])
-    return Decision("a", "object-1", kind, instance > 0, instance, pose, 0.9, 0.1, 30, 0.5, 0.07, reason)
+    outcome = FOUND if instance > 0 else NOT_HERE
+    return Decision("a", "object-1", kind, outcome, instance, pose, 0.9, 0.05, 0.1, 30, 0.5, 0.07, reason)
 
 
 def make_panel(decisions=(), peak=(7, 2), title="a, object-1"):

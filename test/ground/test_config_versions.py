@@ -9,9 +9,13 @@ from embodied_active_learning.errors import ConfigError
 
 def test_renamed_keys_of_an_older_version_are_read():
     old = {"identification": {"mismatch_limit": 0.07, "min_rise": 0.02, "views": 20}}
-    found = stored_config(old, 2).identification
-    assert (found.residual_limit, found.min_prominence, found.views) == (0.07, 0.02, 20)
+    assert stored_config(old, 2).identification.views == 20
     assert "mismatch_limit" in old["identification"], "the argument is not modified"
+
+
+def test_removed_keys_of_an_older_version_are_ignored():
+    old = {"identification": {"residual_limit": 0.07, "min_views": 5, "separation": 0.05}}
+    assert stored_config(old, 3).identification.separation == 0.05
 
 
 def test_current_version_refuses_old_keys():

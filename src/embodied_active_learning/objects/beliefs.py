@@ -132,6 +132,16 @@ class BeliefGrid:
                 break
         return found
 
+    def value_at(self, pose: np.ndarray) -> Tuple[float, float]:
+        """Return mean and standard deviation in the cell of a pose (3,)."""
+        cell = (
+            np.abs(self.x - pose[0]).argmin(),
+            np.abs(self.y - pose[1]).argmin(),
+            np.abs(wrap(self.yaw - pose[2])).argmin(),
+        )
+        information = self._information[cell]
+        return float(self._weighted[cell] / information), float(1.0 / math.sqrt(information))
+
     def yaw_peaks(self, pose: np.ndarray, most: int) -> List[float]:
         """Return yaws [rad] of local maxima in the cell of a pose (3,), highest first, or its own yaw."""
         row, column = np.abs(self.x - pose[0]).argmin(), np.abs(self.y - pose[1]).argmin()

@@ -7,6 +7,9 @@ from typing import List, Sequence
 
 import numpy as np
 
+FOUND, NOT_HERE, UNDECIDED = "found", "not here", "undecided"
+OUTCOMES = (FOUND, NOT_HERE, UNDECIDED)
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -16,12 +19,15 @@ class Decision:
         session: Session of the fingerprint.
         fingerprint: Name of the fingerprint.
         kind: OBJECT or BLANK.
-        found: Whether the object was found at the pose.
+        outcome: FOUND; NOT_HERE: it is nowhere in the workspace; or UNDECIDED, for the reason given.
         instance: 1, 2, ... of the places where it was found; 0 if it was not found.
         pose: (3,) x [m], y [m], theta [rad] in the base frame.
-        confidence: Share of the compared views that agree, 0 to 1; 0 if there are too few.
-        residual: Median over the compared views, in grey levels of [0, 1]; infinite without a comparison.
-        views: Number of views of the candidate that can be compared.
+        confidence: Share of simulated look-alikes that are less similar, 0 to 1. Of a blank: share of its own views
+            that show the table less clearly.
+        error_rate: The rate of missed objects and of accepted look-alikes that the limits were set for.
+        residual: Share of the object that the views at the pose do not show, 1 minus the similarity; infinite without
+            a comparison.
+        views: Number of views compared.
         belief_mean: Mean belief at the pose, 0 to 1.
         belief_std: Standard deviation of that belief.
         reason: One sentence for people.
@@ -30,15 +36,21 @@ class Decision:
     session: str
     fingerprint: str
     kind: str
-    found: bool
+    outcome: str
     instance: int
     pose: np.ndarray
     confidence: float
+    error_rate: float
     residual: float
     views: int
     belief_mean: float
     belief_std: float
     reason: str
+
+    @property
+    def found(self) -> bool:
+        """Whether the object was found at the pose."""
+        return self.outcome == FOUND
 
 
 def decisions_about(decisions: Sequence[Decision], session: str, fingerprint: str) -> List[Decision]:

@@ -1,158 +1,193 @@
-"""The rule that turns beliefs and views into decisions.
+"""The rules that turn views and beliefs into decisions.
 
-The paper does not state when a fingerprint counts as identified. This rule (`identification/decision: verified`) asks
-the views of each belief peak whether they agree with the fingerprint; the alternative (`belief`) is a limit on the
-mean belief.
+The paper does not state when a fingerprint counts as identified. The default rule (`identification/decision:
+verified`) compares views of candidate places with the fingerprint's own views; its limits follow from these views and
+one accepted error rate, see calibration. The alternative (`belief`) is a limit on the mean belief.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import List, Sequence, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects.beliefs import Peak
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.matching import Matches
+from embodied_active_learning.objects.pose_search import Candidate, propose, refine
+from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
-from embodied_active_learning.objects.verification import Comparison
 
 _YAWS = 3
-"""Yaws compared at each peak, highest belief first."""
+"""Yaws of a belief's peak from which the pose is searched, highest belief first."""
 _REFINEMENT_DISTANCE = 0.02  # m
 _REFINEMENT_TURN = 0.5  # rad
+_LARGEST_TABLE_MATCH = 0.3
+"""Share of the scene with the object's colours above which its absence cannot be stated."""
 
 
 class DecisionRule:
-    """Decides for the fingerprints of one model."""
+    """Decides for the fingerprints of one model, by views or by belief."""
 
     def __init__(self, settings: IdentificationConfig) -> None:
-        """Use the limits of the settings."""
+        """Use the criterion and the error rate of the settings."""
         self._settings = settings
 
-    def decide(self, targets: Sequence[SearchTarget], states: np.ndarray, images: np.ndarray) -> List[Decision]:
-        """Decide for every target.
-
-        An object is found at each candidate (peak of its belief) whose views agree with its fingerprint. Of several
-        objects at the same place, the one with the highest confidence is found there.
+    def decide(self, targets: Sequence[SearchTarget], views: SceneViews, mosaic: Mosaic) -> List[Decision]:
+        """Decide for every target. Of several objects at one place, the most similar one is found there.
 
         Args:
             targets: Fingerprints of one model.
-            states: (N, 3) camera states [m, m, rad] of the images observed so far.
-            images: (N, H, W, 3) uint8.
+            views: The images observed so far.
+            mosaic: The same images as one.
         """
-        candidates = [self._candidates(target, states, images) for target in targets]
-        winners = self._winners([candidate for group in candidates for candidate in group])
+        groups = [self._candidates(target, views, mosaic) for target in targets]
+        winners = self._winners([candidate for group in groups for candidate in group])
         decisions: List[Decision] = []
-        for group in candidates:
+        for group in groups:
             decisions += _numbered([_resolved(candidate, winners) for candidate in group])
         return decisions
 
-    def _winners(self, candidates: Sequence[Decision]) -> List[Tuple[Decision, Decision]]:
-        """Pair each accepted candidate with the winner of its place: itself, or a better one of the same kind."""
+    def _candidates(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
+        """Decide for each candidate place of a target, without regard to other targets."""
+        if self._settings.decision == "belief":
+            peaks = target.grid.peaks(self._settings.separation, self._settings.candidates)
+            return [self._by_belief(target, peak) for peak in peaks]
+        if target.fingerprint.kind == BLANK:
+            return [self._blank(target, mosaic)]
+        if target.appearance.problem:
+            pose = target.grid.peaks(self._settings.separation, 1)[0].pose
+            return [self._decision(target, pose, UNDECIDED, target.appearance.problem)]
+        return self._by_views(target, views, mosaic)
+
+    def _by_views(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
+        """Compare the views of each candidate place with the fingerprint."""
+        settings = self._settings
+        places, table_match = propose(mosaic, target.appearance, settings.candidates)
+        if settings.candidates_from == "belief":
+            peaks = target.grid.peaks(settings.separation, settings.candidates)
+            places = [_starts(target, peak) for peak in peaks]
+        found = [refine(target.appearance, views, starts, settings) for starts in places]
+        doubt = self._doubt(mosaic, table_match)
+        decisions: List[Decision] = []
+        for candidate in sorted(found, key=lambda item: -item.similarity):
+            apart = [pose_distance(candidate.pose, other.pose)[0] >= settings.separation for other in decisions]
+            if all(apart):
+                decisions.append(self._judge(target, candidate, doubt))
+        return decisions
+
+    def _doubt(self, mosaic: Mosaic, table_match: float) -> str:
+        """Why the absence of an object could not be stated; empty if it could."""
+        if mosaic.coverage < self._settings.min_coverage:
+            return f"only {100 * mosaic.coverage:.0f} % of the workspace seen: take more images"
+        if table_match > _LARGEST_TABLE_MATCH:
+            return f"{100 * table_match:.0f} % of the scene has its colours: use another table"
+        return ""
+
+    def _judge(self, target: SearchTarget, candidate: Candidate, doubt: str) -> Decision:
+        """Decide at a candidate pose."""
+        limits, value = target.calibration, candidate.similarity
+        if value >= limits.found_limit:
+            outcome = FOUND
+            reason = f"similarity {value:.2f}, limit {limits.found_limit:.2f}"
+        elif value >= limits.miss_limit:
+            outcome = UNDECIDED
+            reason = (
+                f"similarity {value:.2f}, but objects of its colour or shape reach {limits.look_alike_limit:.2f}: look "
+                "at the place, or take a fingerprint that shows more of what distinguishes it"
+            )
+        elif doubt:
+            outcome, reason = UNDECIDED, f"best similarity {value:.2f}, but {doubt}"
+        else:
+            outcome = NOT_HERE
+            reason = f"best similarity {value:.2f}, limit {limits.miss_limit:.2f}"
+        return replace(
+            self._decision(target, candidate.pose, outcome, reason),
+            confidence=limits.confidence(value),
+            residual=1.0 - value if len(candidate.views) else np.inf,
+            views=len(candidate.views),
+        )
+
+    def _blank(self, target: SearchTarget, mosaic: Mosaic) -> Decision:
+        """Decide whether the learned table is bare somewhere."""
+        found, limit = target.bare_table.search(mosaic), target.bare_table.limit(self._settings.error_rate)
+        pose = np.array([*found.place, target.fingerprint.centre[2]])
+        if found.share >= limit:
+            outcome, reason = FOUND, f"{100 * found.share:.0f} % of the place has the table's colours"
+        elif not found.known:
+            outcome, reason = UNDECIDED, "this table is unknown: learn it to search for bare places"
+        elif mosaic.coverage < self._settings.min_coverage:
+            outcome, reason = UNDECIDED, self._doubt(mosaic, 0.0)
+        else:
+            outcome, reason = NOT_HERE, f"at most {100 * found.share:.0f} % of any place has the table's colours"
+        confidence = target.bare_table.confidence(found.share)
+        decision = self._decision(target, pose, outcome, reason)
+        return replace(decision, confidence=confidence, residual=1.0 - found.share, views=int(mosaic.coverage > 0.0))
+
+    def _by_belief(self, target: SearchTarget, peak: Peak) -> Decision:
+        """Decide at a peak of the belief by its mean."""
+        found = peak.mean > self._settings.min_belief
+        reason = f"belief {peak.mean:.2f} {'above' if found else 'not above'} {self._settings.min_belief:g}"
+        decision = self._decision(target, _refined(peak.pose, target.trace), FOUND if found else NOT_HERE, reason)
+        return replace(decision, belief_mean=peak.mean, belief_std=peak.std, confidence=peak.mean)
+
+    def _decision(self, target: SearchTarget, pose: np.ndarray, outcome: str, reason: str) -> Decision:
+        """A decision at a pose without a comparison of views."""
+        mean, std = target.grid.value_at(pose)
+        return Decision(
+            session=target.session,
+            fingerprint=target.fingerprint.name,
+            kind=target.fingerprint.kind,
+            outcome=outcome,
+            instance=0,
+            pose=pose,
+            confidence=0.0,
+            error_rate=self._settings.error_rate,
+            residual=np.inf,
+            views=0,
+            belief_mean=mean,
+            belief_std=std,
+            reason=reason,
+        )
+
+    def _rank(self, decision: Decision) -> Tuple[float, ...]:
+        """Order among claims of one place: the first one wins."""
         by_belief = self._settings.decision == "belief"
+        return (-decision.belief_mean,) if by_belief else (decision.residual,)
+
+    def _winners(self, candidates: Sequence[Decision]) -> List[Tuple[Decision, Decision]]:
+        """Pair each found candidate with the winner of its place: itself, or a better one of the same kind."""
         accepted: List[Decision] = []
         winners: List[Tuple[Decision, Decision]] = []
-        found = [candidate for candidate in candidates if candidate.found]
-        for candidate in sorted(found, key=lambda item: -(item.belief_mean if by_belief else item.confidence)):
-            rivals = (
-                other
-                for other in accepted
-                if other.kind == candidate.kind
-                and other.fingerprint != candidate.fingerprint
-                and pose_distance(candidate.pose, other.pose)[0] < self._settings.separation
-            )
-            winner = next(rivals, candidate)
+        for candidate in sorted((item for item in candidates if item.found), key=self._rank):
+            winner = next((other for other in accepted if self._compete(candidate, other)), candidate)
             winners.append((candidate, winner))
             if winner is candidate:
                 accepted.append(candidate)
         return winners
 
-    def _candidates(self, target: SearchTarget, states: np.ndarray, images: np.ndarray) -> List[Decision]:
-        """Decide for each peak of a belief, highest first, without regard to other targets."""
-        peaks = target.grid.peaks(self._settings.separation, self._settings.candidates)
-        return [self._best_yaw(target, peak, states, images) for peak in peaks]
-
-    def _best_yaw(self, target: SearchTarget, peak: Peak, states: np.ndarray, images: np.ndarray) -> Decision:
-        """Decide at a peak, at the yaw with the highest belief whose views agree.
-
-        An object may look similar from two sides. At the wrong yaw, views are explained badly, or the camera could not
-        have been over the learned object.
-        """
-        if target.fingerprint.kind == BLANK:
-            # A blank looks the same at all yaws; with its own yaw, every view can be compared.
-            pose = np.array([*peak.pose[:2], target.fingerprint.centre[2]])
-            return self._decide_at(target, peak, pose, states, images)
-        tried: List[Decision] = []
-        for yaw in target.grid.yaw_peaks(peak.pose, _YAWS):
-            pose = _refined(np.array([*peak.pose[:2], yaw]), target.trace)
-            tried.append(self._decide_at(target, peak, pose, states, images))
-            if tried[-1].found:
-                break
-        return max(tried, key=lambda decision: (decision.found, decision.confidence))
-
-    def _decide_at(
-        self, target: SearchTarget, peak: Peak, pose: np.ndarray, states: np.ndarray, images: np.ndarray
-    ) -> Decision:
-        """Decide at a pose (3,) near a peak."""
-        settings = self._settings
-        views = target.verifier.views(pose, states)
-        pointing = self._pointing(target, views, pose)
-        prominent = target.fingerprint.kind == BLANK or peak.prominence >= settings.min_prominence
-        enough = len(views) >= settings.min_views and pointing.mean() >= settings.min_agreement
-        if settings.decision == "verified" and prominent and enough:
-            comparison = target.verifier.compare(pose, states, images)
-        else:
-            comparison = Comparison(views, np.full(len(views), np.inf))  # rejected anyway: skip the decoder
-        agreeing = pointing & (np.abs(comparison.residual) <= settings.residual_limit)
-        found, reason = self._judge(peak, prominent, pointing, agreeing)
-        return Decision(
-            session=target.session,
-            fingerprint=target.fingerprint.name,
-            kind=target.fingerprint.kind,
-            found=found,
-            instance=0,
-            pose=pose,
-            confidence=float(agreeing.mean()) if len(agreeing) >= settings.min_views else 0.0,
-            residual=comparison.median,
-            views=len(agreeing),
-            belief_mean=peak.mean,
-            belief_std=peak.std,
-            reason=reason,
-        )
-
-    def _pointing(self, target: SearchTarget, views: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Which of the views (V,) measured the object at the pose; for a blank, which has no place, all of them."""
-        if target.fingerprint.kind == BLANK or not len(views):
-            return np.ones(len(views), dtype=bool)
-        distance, _ = pose_distance(target.trace.pose[views], pose)
-        return distance <= self._settings.agreement_distance
-
-    def _judge(self, peak: Peak, prominent: bool, pointing: np.ndarray, agreeing: np.ndarray) -> Tuple[bool, str]:
-        """Return whether the object is found, given its views (V,), and the reason."""
-        settings, views = self._settings, len(agreeing)
-        if settings.decision == "belief":
-            found = peak.mean > settings.min_belief
-            return found, f"belief {peak.mean:.2f} {'above' if found else 'not above'} {settings.min_belief:g}"
-        if views < settings.min_views:
-            return False, f"only {views} views, {settings.min_views} required"
-        if not prominent:
-            return False, f"belief only {peak.prominence:.3f} above its median, {settings.min_prominence:g} required"
-        if pointing.mean() < settings.min_agreement:
-            return False, f"{pointing.sum()} of {views} views point here"
-        return bool(agreeing.mean() >= settings.min_agreement), f"{agreeing.sum()} of {views} views agree"
+    def _compete(self, one: Decision, other: Decision) -> bool:
+        """Whether two different objects cannot both be where they were found."""
+        near = pose_distance(one.pose, other.pose)[0] < self._settings.separation
+        return bool(one.kind == other.kind and one.fingerprint != other.fingerprint and near)
 
 
 def _resolved(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]]) -> Decision:
     """Return the candidate, rejected if another fingerprint of the same model won its place."""
-    for other, winner in winners:
-        if other is candidate and winner is not candidate:
-            return replace(candidate, found=False, reason=f"{winner.fingerprint} fits better there")
-    return candidate
+    winner: Optional[Decision] = next((won for other, won in winners if other is candidate), None)
+    if winner is None or winner is candidate:
+        return candidate
+    return replace(candidate, outcome=NOT_HERE, reason=f"{winner.fingerprint} fits better there")
+
+
+def _starts(target: SearchTarget, peak: Peak) -> np.ndarray:
+    """Poses (Y, 3) at a peak of a belief, at its yaws of the highest belief."""
+    yaws = target.grid.yaw_peaks(peak.pose, _YAWS)
+    return np.array([_refined(np.array([*peak.pose[:2], yaw]), target.trace) for yaw in yaws])
 
 
 def _refined(peak: np.ndarray, trace: Matches) -> np.ndarray:
@@ -168,10 +203,11 @@ def _refined(peak: np.ndarray, trace: Matches) -> np.ndarray:
 
 
 def _numbered(candidates: Sequence[Decision]) -> List[Decision]:
-    """Number the accepted candidates, or return the best rejected one. One place of a blank is enough."""
+    """Number the found candidates, or return the best other one, an undecided one first. One blank is enough."""
     found = [candidate for candidate in candidates if candidate.found]
     if not found:
-        return sorted(candidates, key=lambda candidate: (-candidate.confidence, -candidate.belief_mean))[:1]
+        order = sorted(candidates, key=lambda item: (item.outcome != UNDECIDED, item.residual, -item.belief_mean))
+        return order[:1]
     if found[0].kind == BLANK:
         found = found[:1]
     return [replace(candidate, instance=number) for number, candidate in enumerate(found, start=1)]

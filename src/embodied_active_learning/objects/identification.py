@@ -17,8 +17,8 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.decision_rule import DecisionRule
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.matching import Matcher
+from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
-from embodied_active_learning.objects.verification import Verifier
 from embodied_active_learning.workspace import Workspace
 
 _SAME_CAMERA = ("width", "height", "field_of_view", "distance")
@@ -37,7 +37,7 @@ class Identification:
         camera: CameraConfig,
         settings: IdentificationConfig,
     ) -> None:
-        """Build models, belief grids and verifiers.
+        """Build models and belief grids.
 
         Args:
             sets: Fingerprints to search for, one set per session.
@@ -49,6 +49,7 @@ class Identification:
             ConfigError: If a model was trained with another camera.
             CorruptFileError: If a model does not fit its session's configuration.
         """
+        self._workspace, self._camera, self._settings = workspace, camera, settings
         self._rule = DecisionRule(settings)
         self._weights = EvidenceWeights(settings)
         self._groups: List[Tuple[Matcher, List[SearchTarget]]] = []
@@ -80,7 +81,9 @@ class Identification:
 
     def decide(self, states: np.ndarray, images: np.ndarray) -> List[Decision]:
         """Decide for every fingerprint, given the states (N, 3) [m, m, rad] and images of the stream so far."""
-        return [decision for _, targets in self._groups for decision in self._rule.decide(targets, states, images)]
+        views = SceneViews(states, images, self._camera)
+        mosaic = Mosaic(views, self._workspace, self._settings.margin)
+        return [decision for _, targets in self._groups for decision in self._rule.decide(targets, views, mosaic)]
 
 
 def _make_group(
@@ -92,8 +95,7 @@ def _make_group(
     targets = []
     for fingerprint in fingerprint_set.fingerprints:
         grid = BeliefGrid(workspace, settings)
-        verifier = Verifier(model, fingerprint, fingerprint_set.config, settings)
-        targets.append(SearchTarget(fingerprint_set, fingerprint, matcher.threshold, grid, verifier))
+        targets.append(SearchTarget(fingerprint_set, fingerprint, matcher.threshold, grid, settings))
     return matcher, targets
 
 

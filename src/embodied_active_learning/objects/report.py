@@ -15,7 +15,7 @@ from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
 SAME_PLACE = 0.03
 """Distance [m] within which a decision, or a fingerprint's centre, belongs to an object."""
 
-_COLUMNS = ("fingerprint", "kind", "found", "x [m]", "y [m]", "confidence", "error [cm]", "reason")
+_COLUMNS = ("fingerprint", "kind", "outcome", "x [m]", "y [m]", "confidence", "error [cm]", "reason")
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,10 @@ def _row(decision: Decision, truth: Truth) -> Tuple[str, ...]:
 def _outcome(decision: Decision, truth: Truth) -> str:
     """Whether the object was found, and what really is at the place of a false claim."""
     if not decision.found:
-        return "no"
+        return decision.outcome
     if truth.is_false_claim(decision):
         return f"claimed, but really: {_at(decision.pose, truth.objects)}"
-    return f"yes, no. {decision.instance}"
+    return f"found, no. {decision.instance}"
 
 
 def _at(pose: np.ndarray, objects: Sequence[Location]) -> str:

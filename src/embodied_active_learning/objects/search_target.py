@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import List
 
 import numpy as np
 
+from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.objects.appearance import Appearance
+from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.beliefs import BeliefGrid
+from embodied_active_learning.objects.calibration import Calibration, calibrate
 from embodied_active_learning.objects.fingerprint import Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.verification import Verifier
 
 
 class SearchTarget:
@@ -21,7 +25,7 @@ class SearchTarget:
         fingerprint: Fingerprint,
         threshold: float,
         grid: BeliefGrid,
-        verifier: Verifier,
+        settings: IdentificationConfig,
     ) -> None:
         """Start a search.
 
@@ -30,14 +34,30 @@ class SearchTarget:
             fingerprint: What to search for.
             threshold: Latent distance at which a measurement is 1/2.
             grid: The belief, at its prior.
-            verifier: Compares views of candidates with the fingerprint.
+            settings: How to calibrate the decision.
         """
         self.session = fingerprint_set.session
         self.fingerprint = fingerprint
         self.threshold = threshold
         self.grid = grid
-        self.verifier = verifier
+        self._set = fingerprint_set
+        self._settings = settings
         self._parts: List[Matches] = []
+
+    @cached_property
+    def appearance(self) -> Appearance:
+        """What the object looks like, learned when it is first needed."""
+        return Appearance(self.fingerprint, self._set.fingerprints, self._set.config.camera)
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """The limits of its similarity, simulated when they are first needed."""
+        return calibrate(self.appearance, self._settings)
+
+    @cached_property
+    def bare_table(self) -> BareTable:
+        """The table of a blank, learned when it is first needed."""
+        return BareTable(self.fingerprint, self._set.fingerprints, self._set.config.camera)
 
     @property
     def label(self) -> str:

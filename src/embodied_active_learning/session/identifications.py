@@ -17,7 +17,7 @@ import torch
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import LARGEST_YAML, FileReader
 from embodied_active_learning.naming import check_name
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE, OUTCOMES, Decision
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.schema import build, required
 from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
@@ -26,13 +26,15 @@ from embodied_active_learning.session.paths import SessionPaths, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/decisions"
-VERSION = 3
+VERSION = 4
 DECISIONS_FILE = "decisions.yaml"
 TABLE_FILE = "decisions.csv"
 BELIEFS_FILE = "beliefs.safetensors"
 TRACE_FILE = "trace.safetensors"
 _POSE = ("x", "y", "theta")
 _RENAMED = {3: {"sureness": "confidence", "mismatch": "residual"}}  # version -> old name of a decision's field -> name
+_THREE_OUTCOMES = 4
+"""Version before which a decision was found or not."""
 _READER = FileReader(CorruptFileError, "identify again")
 
 
@@ -177,11 +179,19 @@ def _upgrade(row: Any, version: int) -> Any:
     names: Dict[str, str] = {}
     for since, renamed in _RENAMED.items():
         names.update(renamed if version < since else {})
-    return {names.get(name, name): value for name, value in row.items()} if isinstance(row, Mapping) else row
+    if not isinstance(row, Mapping):
+        return row
+    upgraded = {names.get(name, name): value for name, value in row.items()}
+    if version < _THREE_OUTCOMES and "found" in upgraded:
+        upgraded["outcome"] = FOUND if upgraded.pop("found") else NOT_HERE
+        upgraded["error_rate"] = 0.0  # those rules stated none
+    return upgraded
 
 
 def _decision(subject: str, row: Any) -> Decision:
     values = dataclasses.asdict(build(_Row, row, subject, CorruptFileError, _READER.remedy))
+    if values["outcome"] not in OUTCOMES:
+        raise CorruptFileError(f"{subject}: unknown outcome {values['outcome']!r}; {_READER.remedy}")
     pose = np.array([values.pop(name) for name in _POSE])
     values["residual"] = math.inf if values["residual"] is None else values["residual"]
     return Decision(pose=pose, **values)

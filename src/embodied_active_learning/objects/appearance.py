@@ -1,0 +1,222 @@
+"""What the object of a fingerprint looks like, apart from the table that it stands on.
+
+Each view is rectified into the object's coordinates on the table (x and y from the fingerprint's centre, turned with
+it). Pixels that differ from the table's colours are the object's; around them lies a ring that shows the table. Both
+are kept as sample points with the features that the object has there, or would have if it reached that far. Views
+differ by parallax only, so a new view is compared with the stored view from the nearest position relative to the
+object.
+
+Assumptions beyond the paper: a camera that looks straight down from a known height, and an object whose visible part
+fits into a square of 12 cm and differs in colour from the table that it was learned on.
+"""
+
+from __future__ import annotations
+
+from typing import Sequence, Tuple, Union
+
+import cv2
+import numpy as np
+
+from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.geometry import pixels_of
+from embodied_active_learning.objects.colours import (
+    OBJECT_REACH,
+    TableColours,
+    blurred,
+    colour_features,
+    table_features,
+)
+from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint
+
+SIDE = 80
+"""Pixels along a side of a rectified view."""
+PIXEL = 0.0015
+"""Size of one of them [m]."""
+INSIDE_POINTS, RING_POINTS = 256, 192
+_FOREGROUND = 4.0
+"""Distance from the nearest table colour, in standard deviations, from which a pixel is the object's."""
+_LEAST_PIXELS = 60
+_SIMILAR_AREA = 0.25
+"""Smallest share of the median area at which a view is used: others were cut by the image's border."""
+_CLUTTER = 0.1
+"""Largest area around the object, relative to its own, with colours of neither the object nor the table elsewhere."""
+_CROSS, _CLOSING = np.ones((3, 3), np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+_RING_INNER, _RING_OUTER = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)) for size in (5, 15))
+
+
+class Appearance:
+    """The object's sample points in every view of a fingerprint.
+
+    Attributes:
+        offsets: (V, 2) camera positions relative to the object [m], in the object's coordinates.
+        usable: (V,) whether the view shows the object well enough to be compared with.
+        inside_points: (V, I, 2) points of the object [m]. Its features there are inside_features (V, I, 3).
+        ring_points: (V, R, 2) points around it. The features of its nearest edge are ring_features (V, R, 3).
+        colours: (V, SIDE, SIDE, 3) uint8, the rectified views; rows along the object's y, columns along its x.
+        in_view: (V, SIDE, SIDE) which of their pixels the image shows.
+        masks: (V, SIDE, SIDE) which of them are the object's.
+        area: Median visible area of the object [m^2].
+        middle: (2,) mean position of its pixels [m].
+        problem: Why the object cannot be recognised, and the remedy; empty if it can.
+    """
+
+    def __init__(self, fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], camera: CameraConfig) -> None:
+        """Learn the appearance from the views of a fingerprint; the others of its set show more of the table."""
+        views = len(fingerprint.states)
+        self.fingerprint = fingerprint
+        self.camera = camera
+        self.offsets = relative_positions(fingerprint.states, fingerprint.centre)
+        self.inside_points = np.zeros((views, INSIDE_POINTS, 2), np.float32)
+        self.inside_features = np.zeros((views, INSIDE_POINTS, 3), np.float32)
+        self.ring_points = np.zeros((views, RING_POINTS, 2), np.float32)
+        self.ring_features = np.zeros((views, RING_POINTS, 3), np.float32)
+        self.masks = np.zeros((views, SIDE, SIDE), dtype=bool)
+        self.colours, self.in_view = self._rectified()
+        self.problem = ""
+        table = _table(fingerprint, fingerprints, camera)
+        random = np.random.default_rng(0)
+        clutter, near = np.zeros(views), _away_from_others(fingerprint, fingerprints)
+        for view in range(views):
+            features = colour_features(self.colours[view])
+            foreground = (table.distance(features) > _FOREGROUND) & self.in_view[view]
+            self.masks[view] = _object_mask(foreground)
+            clutter[view] = (foreground & near & ~cv2.dilate(self.masks[view].astype(np.uint8), _CLOSING)).sum()
+            if self.masks[view].sum() >= _LEAST_PIXELS:
+                self._sample(view, features, random)
+        sizes = self.masks.sum(axis=(1, 2))
+        self.usable = (sizes >= _LEAST_PIXELS) & (sizes > _SIMILAR_AREA * np.median(sizes))
+        self.area = float(np.median(sizes)) * PIXEL**2
+        if self.usable.sum() < views / 2:
+            self.problem = (
+                "no object distinct from the table in its views: train longer, or learn it on a table of another colour"
+            )
+            return
+        share = float(np.median(clutter[self.usable] / sizes[self.usable]))
+        if share > _CLUTTER:
+            self.problem = (
+                "the table around it has colours that the other views do not show, so that object and table cannot be "
+                "told apart: learn it on a plainer table"
+            )
+        self.clutter = share
+        luminance = self.inside_features[self.usable][..., 0]
+        self.luminance_std = float(np.median(luminance.std(axis=1)))
+        self.middle = self.inside_points[self.usable].mean(axis=(0, 1))
+
+    def nearest_views(self, offsets: np.ndarray, excluded: Union[Sequence[int], np.ndarray] = ()) -> np.ndarray:
+        """Return the usable views (N,) from next to relative camera positions (N, 2) [m], without some of them."""
+        distance = np.square(self.offsets - offsets[:, None]).sum(axis=2)
+        distance[:, ~self.usable] = np.inf
+        distance[:, list(excluded)] = np.inf
+        return distance.argmin(axis=1)
+
+    @property
+    def central_view(self) -> int:
+        """The usable view from most directly above."""
+        return int(self.nearest_views(np.zeros((1, 2)))[0])
+
+    def _rectified(self) -> Tuple[np.ndarray, np.ndarray]:
+        """Colours (V, SIDE, SIDE, 3) uint8 of the views in the object's coordinates, and whether each is in view."""
+        points = place(_GRID, self.fingerprint.centre[None])[0]
+        views = [
+            sample_image(blurred(image, self.camera), state, points, self.camera)
+            for image, state in zip(self.fingerprint.images, self.fingerprint.states)
+        ]
+        colours, valid = (np.array(part) for part in zip(*views))
+        return colours.reshape(-1, SIDE, SIDE, 3), valid.reshape(-1, SIDE, SIDE)
+
+    def _sample(self, view: int, features: np.ndarray, random: np.random.Generator) -> None:
+        """Draw the sample points of a view with features (SIDE, SIDE, 3)."""
+        mask = self.masks[view].astype(np.uint8)
+        inside = cv2.erode(mask, _CROSS)
+        inside = inside if inside.sum() >= _LEAST_PIXELS / 2 else mask
+        ring = (cv2.dilate(mask, _RING_OUTER) > 0) & (cv2.dilate(mask, _RING_INNER) == 0)
+        extended = _extended(features, inside > 0)
+        for shown, count, points, values in (
+            (inside > 0, INSIDE_POINTS, self.inside_points, self.inside_features),
+            (ring, RING_POINTS, self.ring_points, self.ring_features),
+        ):
+            pixels = np.flatnonzero(shown)
+            if len(pixels):
+                chosen = random.choice(pixels, count, replace=len(pixels) < count)
+                points[view], values[view] = _GRID[chosen], extended.reshape(-1, 3)[chosen]
+
+
+def relative_positions(states: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Camera positions (N, 2) [m] of states (N, 3) in the coordinates of an object at a pose (3,)."""
+    dx, dy = (states[:, :2] - pose[:2]).T
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    return np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], axis=-1)
+
+
+def place(points: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Points (K, 2) [m] of an object, in the base frame, for each of its poses (P, 3). -> (P, K, 2) float32."""
+    cosine, sine = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    x, y = points.T
+    return np.stack([poses[:, :1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], -1).astype(
+        np.float32
+    )
+
+
+def sample_image(
+    image: np.ndarray, state: np.ndarray, points: np.ndarray, camera: CameraConfig
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Colours (..., 3) uint8 of an image from a state (3,) at points (..., 2) of the table, and which are in view."""
+    rows, columns = pixels_of(state.astype(np.float32), points, camera)
+    rows, columns = (rows + 0.5).astype(np.int32), (columns + 0.5).astype(np.int32)
+    valid = (rows >= 0) & (columns >= 0) & (rows < camera.height) & (columns < camera.width)
+    return image.reshape(-1, 3)[np.where(valid, rows * camera.width + columns, 0)], valid
+
+
+def grid_cells(points: np.ndarray) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row, column and whether it exists, of the rectified pixel at points (..., 2) of the object [m]."""
+    cells = np.floor(points / PIXEL + SIDE / 2).astype(np.int32)
+    inside = ((cells >= 0) & (cells < SIDE)).all(axis=-1)
+    cells = np.clip(cells, 0, SIDE - 1)
+    return cells[..., 1], cells[..., 0], inside
+
+
+def pixel_positions() -> np.ndarray:
+    """(SIDE, SIDE, 2) centres of the rectified pixels in the object's coordinates [m]."""
+    axis = (np.arange(SIDE) + 0.5 - SIDE / 2) * PIXEL
+    return np.stack(np.meshgrid(axis, axis), axis=-1).astype(np.float32)
+
+
+_GRID = pixel_positions().reshape(-1, 2)
+
+
+def _table(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], camera: CameraConfig) -> TableColours:
+    """The table's colours: around this fingerprint, and around the others of its set."""
+    parts = [table_features(item, fingerprints, camera) for item in fingerprints]
+    return TableColours([part for part in parts if len(part)] or [np.zeros((1, 3), np.float32)])
+
+
+def _away_from_others(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]) -> np.ndarray:
+    """Which rectified pixels (SIDE, SIDE) are not near the centre of another object of the set."""
+    points = place(_GRID, fingerprint.centre[None])[0]
+    away = np.ones(len(points), dtype=bool)
+    for other in fingerprints:
+        if other.kind == OBJECT and other is not fingerprint:
+            away &= np.hypot(*(points - other.centre[:2]).T) > OBJECT_REACH
+    return away.reshape(SIDE, SIDE)
+
+
+def _object_mask(foreground: np.ndarray) -> np.ndarray:
+    """The connected region (SIDE, SIDE) of the foreground that is large and near the centre; its gaps closed."""
+    cleaned = cv2.morphologyEx(foreground.astype(np.uint8), cv2.MORPH_OPEN, _CROSS)
+    cleaned = cv2.morphologyEx(cleaned, cv2.MORPH_CLOSE, _CLOSING)
+    count, labels, statistics, centres = cv2.connectedComponentsWithStats(cleaned)
+    if count == 1:
+        return np.zeros_like(foreground)
+    distance = np.square(centres[1:] - SIDE / 2).sum(axis=1)
+    sizes = statistics[1:, cv2.CC_STAT_AREA] * np.exp(-0.5 * distance / (SIDE / 6) ** 2)
+    return labels == 1 + int(sizes.argmax())
+
+
+def _extended(features: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Features (SIDE, SIDE, 3) where pixels outside have those of the nearest pixel inside."""
+    outside = (~inside).astype(np.uint8)
+    _, labels = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    source = np.zeros(labels.max() + 1, np.int64)
+    pixels = np.flatnonzero(inside)
+    source[labels.ravel()[pixels]] = pixels
+    return features.reshape(-1, 3)[source[labels]]

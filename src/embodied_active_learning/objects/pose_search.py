@@ -1,0 +1,172 @@
+"""Search for an object in a scene: candidate places from a mosaic, then the pose from views.
+
+Candidates do not depend on the model, nor on how far they rise above their surroundings: they are the places where the
+mosaic is most similar to the object, at any yaw. The similarity of points that share a few colours is a sum of
+correlations, so all places are compared at once by Fourier transforms.
+"""
+
+from __future__ import annotations
+
+from typing import List, NamedTuple
+
+import cv2
+import numpy as np
+import scipy.fft
+from scipy.ndimage import maximum_filter
+
+from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.objects.appearance import Appearance, place
+from embodied_active_learning.objects.colours import colour_distance
+from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, SceneViews
+from embodied_active_learning.objects.similarity import (
+    COLOUR_SCALE,
+    LUMINANCE_SCALE,
+    Indices,
+    Views,
+    similarity,
+    stored_views,
+)
+
+_YAWS = np.arange(36) * (2.0 * np.pi / 36)
+_COLOURS = 3
+_GAINS = (-0.5, -0.15, 0.2)
+"""Log gains between the stored views and the scene that candidates are searched with."""
+_BALANCE = 0.05
+_PEAK_SIZE = 9
+"""Side of the window in which a candidate place is the best one, in pixels of the mosaic."""
+_STARTS = 3
+"""Yaws from which the pose is searched at a place."""
+_LEAST_VIEWS = 2
+_STEPS = ((0.004, 0.09), (0.003, 0.06), (0.0015, 0.03))
+"""Steps [m, rad] of the searches around a start, around the best result, and around the best result again."""
+
+
+class Candidate(NamedTuple):
+    """A place where an object may be.
+
+    Attributes:
+        pose: (3,) x [m], y [m], theta [rad].
+        similarity: Median over the views, 1 at best.
+        views: (V,) the images that were compared.
+    """
+
+    pose: np.ndarray
+    similarity: float
+    views: np.ndarray
+
+
+class Proposals(NamedTuple):
+    """Where to search.
+
+    Attributes:
+        places: For each place, the best one first, poses (Y, 3) to start from.
+        table_match: Share of the scene that has the object's colours: near 1 it cannot be told from the table.
+    """
+
+    places: List[np.ndarray]
+    table_match: float
+
+
+def propose(mosaic: Mosaic, appearance: Appearance, count: int) -> Proposals:
+    """Return the places of a mosaic that are most similar to an object, at most count."""
+    view = appearance.central_view
+    features = appearance.inside_features[view]
+    cv2.setRNGSeed(1)
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 15, 1e-3)
+    _, labels, colours = cv2.kmeans(features, _COLOURS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
+    layers = [_colour_matches(mosaic, colours, gain) for gain in _GAINS]
+    transforms = [scipy.fft.rfft2(layer) for layer in layers]
+    size = len(mosaic.x)
+    maps: np.ndarray = np.empty((len(_YAWS), size, size), np.float32)
+    for index, yaw in enumerate(_YAWS):
+        kernel = np.conj(scipy.fft.rfft2(_kernels(appearance, view, np.ravel(labels), yaw, size)))
+        maps[index] = np.max(
+            [scipy.fft.irfft2((kernel * part).sum(axis=0), s=(size, size)) for part in transforms], axis=0
+        )
+    best = np.where(mosaic.inside, maps.max(axis=0), -np.inf)
+    rows, columns = np.nonzero((maximum_filter(best, _PEAK_SIZE) == best) & mosaic.inside)
+    order = np.argsort(-best[rows, columns], kind="stable")[:count]
+    places = [_starts(mosaic, maps, rows[index], columns[index]) for index in order]
+    shown = mosaic.inside & mosaic.seen
+    table_match = max(float((layer[-1][shown] > 0.5).mean()) for layer in layers) if shown.any() else 0.0
+    return Proposals(places, table_match)
+
+
+def refine(appearance: Appearance, views: SceneViews, starts: np.ndarray, settings: IdentificationConfig) -> Candidate:
+    """Return the most similar pose near the starts (Y, 3) at one place; without views its similarity is -1."""
+    chosen = views.nearest(starts[0, :2], settings.views, settings.view_distance)
+    if len(chosen) < _LEAST_VIEWS:
+        return Candidate(starts[0], -1.0, chosen)
+    pose = best_pose(appearance, views, chosen[:_LEAST_VIEWS], starts, stride=3)
+    pose = climb(appearance, views, chosen, pose)
+    value = similarity(appearance, views, chosen, stored_views(appearance, views, chosen, pose), pose[None])
+    return Candidate(pose, float(value[0]), chosen)
+
+
+def best_pose(
+    appearance: Appearance,
+    views: Views,
+    chosen: Indices,
+    starts: np.ndarray,
+    stride: int,
+    excluded: Indices = (),
+) -> np.ndarray:
+    """Return the most similar pose (3,) next to any of the starts (Y, 3)."""
+    poses, values = [], []
+    for start in starts:
+        near = _around(start, *_STEPS[0])
+        stored = stored_views(appearance, views, chosen, start, excluded)
+        found = similarity(appearance, views, chosen, stored, near, stride)
+        poses.append(near[found.argmax()])
+        values.append(found.max())
+    return poses[int(np.argmax(values))]
+
+
+def climb(
+    appearance: Appearance, views: Views, chosen: Indices, pose: np.ndarray, excluded: Indices = ()
+) -> np.ndarray:
+    """Return a more similar pose (3,) close to a pose (3,)."""
+    for step in _STEPS[1:]:
+        stored = stored_views(appearance, views, chosen, pose, excluded)
+        near = _around(pose, *step)
+        pose = near[similarity(appearance, views, chosen, stored, near, stride=2).argmax()]
+    return pose
+
+
+def _around(pose: np.ndarray, step: float, turn: float) -> np.ndarray:
+    """(27, 3) poses around a pose (3,)."""
+    axes = (np.array([-1.0, 0.0, 1.0]) * size for size in (step, step, turn))
+    return pose + np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndarray:
+    """Match (C + 1, S, S) of the mosaic with each colour (C, 3) under a gain, and with the best of them."""
+    layers = []
+    for colour in colours:
+        change = mosaic.features - colour
+        shift = change[..., 1:]
+        shift = np.sign(shift) * np.maximum(np.abs(shift) - _BALANCE, 0.0)
+        error = ((change[..., 0] - gain) / LUMINANCE_SCALE) ** 2
+        layers.append(mosaic.seen / (1.0 + error + colour_distance(shift) / COLOUR_SCALE**2))
+    return np.stack([*layers, np.max(layers, axis=0)]).astype(np.float32)
+
+
+def _kernels(appearance: Appearance, view: int, labels: np.ndarray, yaw: float, size: int) -> np.ndarray:
+    """(C + 1, S, S) weights of the object's points by colour (I,), and of the ring's, at a yaw; centred on pixel 0."""
+    kernels: np.ndarray = np.zeros((_COLOURS + 1, size, size), np.float32)
+    ring_points = appearance.ring_points[view]
+    for points, layer, weight in (
+        (appearance.inside_points[view], labels, 1.0),
+        (ring_points, np.full(len(ring_points), _COLOURS), -1.0),
+    ):
+        columns, rows = np.rint(place(points, np.array([[0.0, 0.0, yaw]]))[0].T / MOSAIC_PIXEL).astype(int) % size
+        np.add.at(kernels, (layer, rows, columns), weight / len(points))
+    return kernels
+
+
+def _starts(mosaic: Mosaic, maps: np.ndarray, row: int, column: int) -> np.ndarray:
+    """(Y, 3) poses at a pixel, at the yaws that are local maxima there, the best one first."""
+    window = maps[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].max(axis=(1, 2))
+    tops = np.flatnonzero((window >= np.roll(window, 1)) & (window >= np.roll(window, -1)))
+    tops = tops[np.argsort(-window[tops], kind="stable")][:_STARTS]
+    return np.array([[mosaic.x[column], mosaic.y[row], _YAWS[top]] for top in tops])

@@ -1,0 +1,86 @@
+"""The images of a scene, as candidates are compared with them: sampled at points of the table."""
+
+from __future__ import annotations
+
+from typing import Dict, Tuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.objects.appearance import sample_image
+from embodied_active_learning.objects.colours import blurred, colour_features
+from embodied_active_learning.workspace import Workspace
+
+MOSAIC_PIXEL = 0.003
+"""Size of a pixel of the mosaic [m]."""
+_MOSAIC_BORDER = 0.08
+"""Extent of the mosaic beyond the workspace [m]: half an object, and half a rectified view around it."""
+
+
+class SceneViews:
+    """Images (N, H, W, 3) uint8 of one scene from states (N, 3) [m, m, rad]."""
+
+    def __init__(self, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> None:
+        """Keep the images; they are blurred when they are first used."""
+        self.states = np.asarray(states, dtype=np.float64).reshape(-1, 3)
+        self._images = images
+        self._camera = camera
+        self._blurred: Dict[int, np.ndarray] = {}
+        self._tree = cKDTree(self.states[:, :2]) if len(self.states) else None
+
+    def nearest(self, place: np.ndarray, count: int, distance: float) -> np.ndarray:
+        """Return the images (V,) from the positions nearest to a place (2,) [m]: at most count, within a distance."""
+        if self._tree is None:
+            return np.empty(0, np.int64)
+        _, found = self._tree.query(place, k=min(count, len(self.states)), distance_upper_bound=distance)
+        found = np.atleast_1d(found)
+        return found[found < len(self.states)]
+
+    def features(self, view: int, points: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Features (..., 3) of an image at points (..., 2) of the table, and which of them are in view."""
+        colours, valid = self.colours(view, points)
+        return colour_features(colours), valid
+
+    def colours(self, view: int, points: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Colours (..., 3) uint8 of an image at points (..., 2) of the table, and which of them are in view."""
+        if view not in self._blurred:
+            self._blurred[view] = blurred(self._images[view], self._camera)
+        return sample_image(self._blurred[view], self.states[view], points, self._camera)
+
+
+class Mosaic:
+    """The table from above: each pixel from the image that was taken from nearest above it, so parallax is small.
+
+    Attributes:
+        x, y: (S,) coordinates of the pixels' columns and rows [m].
+        colours: (S, S, 3) uint8; row index along y.
+        features: (S, S, 3).
+        seen: (S, S) whether the pixel was in view.
+        inside: (S, S) whether it lies in the workspace, where an object may have its centre.
+    """
+
+    def __init__(self, views: SceneViews, workspace: Workspace, margin: float) -> None:
+        """Sample the images over a workspace. margin: part around it that also counts as inside [m]."""
+        lower, upper = (np.asarray(limit[:2]) for limit in (workspace.lower, workspace.upper))
+        size = int(np.ceil((float(np.max(upper - lower)) + 2.0 * _MOSAIC_BORDER) / MOSAIC_PIXEL))
+        steps = (np.arange(size) + 0.5 - size / 2) * MOSAIC_PIXEL
+        self.x, self.y = (middle + steps for middle in (lower + upper) / 2.0)
+        points = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
+        colours, seen = np.zeros((len(points), 3), np.uint8), np.zeros(len(points), dtype=bool)
+        if len(views.states):
+            _, source = cKDTree(views.states[:, :2]).query(points)
+            order = np.argsort(source, kind="stable")
+            ends = np.searchsorted(source[order], np.arange(len(views.states) + 1))
+            for view in np.unique(source):
+                pixels = order[ends[view] : ends[view + 1]]
+                colours[pixels], seen[pixels] = views.colours(int(view), points[pixels])
+        self.colours, self.seen = colours.reshape(size, size, 3), seen.reshape(size, size)
+        self.features = colour_features(self.colours)
+        within = ((points >= lower - margin) & (points <= upper + margin)).all(axis=1)
+        self.inside = within.reshape(size, size)
+
+    @property
+    def coverage(self) -> float:
+        """Share of the inside that was seen."""
+        return float(self.seen[self.inside].mean())

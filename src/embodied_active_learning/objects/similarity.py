@@ -1,0 +1,154 @@
+"""How much a view shows of an object where it would be at a pose.
+
+The similarity is the mean match of the object's points minus that of the ring around it: 1 if the object is there and
+contrasts with the table, about 0 on anything else, including a larger surface of the same colour. A match falls from 1
+to 0 with the squared difference of features, so single pixels (highlights, an occlusion) have little weight. Light is
+corrected by a gain, a gradient of the gain and a small shift of the colour balance, fitted to the object's points.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol, Sequence, Tuple, Union
+
+import numpy as np
+
+from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
+from embodied_active_learning.objects.colours import colour_distance
+
+Indices = Union[Sequence[int], np.ndarray]
+LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
+"""Differences of log luminance and of colour at which a match is 1/2. The object's own contrast adds to the first:
+shading moves over an object that is turned under a fixed light."""
+_GAIN = (-1.0, 0.6)
+"""Limits of the gain: log luminance of the view minus that of the stored view."""
+_GRADIENT = 0.3
+"""Limit of its change per 5 cm."""
+_GRADIENT_UNIT = 0.05
+_GRADIENT_PRIOR = 12.0
+_BALANCE = 0.1
+"""Limit of the shift of red and green shares."""
+_LEAST_INSIDE, _LEAST_RING = 0.6, 0.25
+"""Share of the points that must be in view. Without a ring its match is taken as _UNSEEN_RING."""
+_UNSEEN_RING = 0.3
+
+
+class Views(Protocol):
+    """Images that can be sampled at points of the table: a SceneViews, or simulated ones."""
+
+    states: np.ndarray
+
+    def features(self, view: int, points: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Features (..., 3) of an image at points (..., 2), and which of them are in view."""
+        ...
+
+
+class Light(NamedTuple):
+    """A correction for each of P poses."""
+
+    gain: np.ndarray  # (P,)
+    gradient: np.ndarray  # (P, 2) per 5 cm along the object's x and y
+    balance: np.ndarray  # (P, 2)
+
+
+def similarity(
+    appearance: Appearance,
+    views: Views,
+    chosen: Indices,
+    stored: Indices,
+    poses: np.ndarray,
+    stride: int = 1,
+) -> np.ndarray:
+    """Return the median similarity (P,) over views at each of P poses; -1 where no view shows enough of the object.
+
+    Args:
+        appearance: The object.
+        views: The images.
+        chosen: (V,) the images that are compared.
+        stored: (V,) the stored view that each of them is compared with.
+        poses: (P, 3) poses of the object [m, m, rad].
+        stride: Use every n-th point only.
+    """
+    values = [_in_view(appearance, views, one, other, poses, stride) for one, other in zip(chosen, stored)]
+    table = np.sort(np.array(values), axis=0)  # unseen ones are -1: they go to the front
+    count, first = len(table), (table < -1.0 + 1e-6).sum(axis=0)
+    low, high = (first + count - 1) // 2, (first + count) // 2
+    index = np.arange(table.shape[1])
+    median = 0.5 * (table[np.minimum(low, count - 1), index] + table[np.minimum(high, count - 1), index])
+    return np.where(first == count, -1.0, median)
+
+
+def stored_views(
+    appearance: Appearance, views: Views, chosen: Indices, pose: np.ndarray, excluded: Indices = ()
+) -> np.ndarray:
+    """Return the stored view (V,) to compare each chosen image with, for an object at a pose (3,)."""
+    return appearance.nearest_views(relative_positions(views.states[np.asarray(chosen)], pose), excluded)
+
+
+def matches(
+    appearance: Appearance, views: Views, view: int, stored: int, pose: np.ndarray
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the match, 0 to 1, of the points inside the object (I,) and of the ring (R,) at one pose (3,)."""
+    poses = np.asarray(pose)[None]
+    inside, valid = views.features(view, place(appearance.inside_points[stored], poses))
+    change = inside - appearance.inside_features[stored]
+    scale = np.hypot(LUMINANCE_SCALE, appearance.luminance_std)
+    light = _fit_light(change, valid, appearance.inside_points[stored], scale)
+    ring, _ = views.features(view, place(appearance.ring_points[stored], poses))
+    of_ring = _match(ring - appearance.ring_features[stored], appearance.ring_points[stored], light, scale)
+    return _match(change, appearance.inside_points[stored], light, scale)[0], of_ring[0]
+
+
+def _in_view(
+    appearance: Appearance, views: Views, view: int, stored: int, poses: np.ndarray, stride: int
+) -> np.ndarray:
+    """Similarity (P,) in one view; -1 where it does not show enough of the object."""
+    inside_points, ring_points = (
+        appearance.inside_points[stored, ::stride],
+        appearance.ring_points[stored, ::stride],
+    )
+    inside, inside_valid = views.features(view, place(inside_points, poses))
+    ring, ring_valid = views.features(view, place(ring_points, poses))
+    change = inside - appearance.inside_features[stored, ::stride]
+    scale = np.hypot(LUMINANCE_SCALE, appearance.luminance_std)
+    light = _fit_light(change, inside_valid, inside_points, scale)
+    of_inside = _mean(_match(change, inside_points, light, scale), inside_valid)
+    of_ring = _mean(_match(ring - appearance.ring_features[stored, ::stride], ring_points, light, scale), ring_valid)
+    of_ring = np.where(ring_valid.mean(axis=1) < _LEAST_RING, _UNSEEN_RING, of_ring)
+    return np.where(inside_valid.mean(axis=1) < _LEAST_INSIDE, -1.0, of_inside - of_ring)
+
+
+def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale: float) -> Light:
+    """Robust fit of the light to changes (P, K, 3) of the features at points (K, 2) of the object."""
+    luminance = change[..., 0]
+    x, y = (points / _GRADIENT_UNIT).T
+    seen = valid.astype(np.float32)
+    gain = np.nan_to_num(np.median(luminance, axis=1))
+    gradient = np.zeros((len(gain), 2), np.float32)
+    weight = seen
+    for _ in range(2):
+        error = luminance - gain[:, None] - gradient[:, :1] * x - gradient[:, 1:] * y
+        weight = seen / (1.0 + (error / scale) ** 2)
+        step = (weight * error).sum(axis=1) / (weight.sum(axis=1) + 1e-6)
+        gain, error = gain + step, error - step[:, None]
+        xx, xy, yy = (weight @ product for product in (x * x, x * y, y * y))
+        xx, yy = xx + _GRADIENT_PRIOR, yy + _GRADIENT_PRIOR
+        ex, ey = ((weight * error) @ axis for axis in (x, y))
+        ex, ey = ex - _GRADIENT_PRIOR * gradient[:, 0], ey - _GRADIENT_PRIOR * gradient[:, 1]
+        determinant = xx * yy - xy**2
+        gradient = gradient + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], axis=-1) / determinant[:, None]
+    total = weight.sum(axis=1)[:, None] + 1e-6
+    balance = np.stack([(weight * change[..., 1]).sum(axis=1), (weight * change[..., 2]).sum(axis=1)], -1) / total
+    return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), np.clip(balance, -_BALANCE, _BALANCE))
+
+
+def _match(change: np.ndarray, points: np.ndarray, light: Light, scale: float) -> np.ndarray:
+    """Match (P, K), 0 to 1, of changes (P, K, 3) that the light does not explain."""
+    x, y = (points / _GRADIENT_UNIT).T
+    error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
+    colour = colour_distance(change[..., 1:] - light.balance[:, None])
+    return 1.0 / (1.0 + (error / scale) ** 2 + colour / COLOUR_SCALE**2)
+
+
+def _mean(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Mean (P,) of the valid values (P, K)."""
+    return (values * valid).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)

@@ -1,0 +1,155 @@
+"""A fingerprint's own views as they would look elsewhere, and as other objects would look.
+
+The object's pixels are cut out by the mask, put on another table and lit differently. Light from another side cannot be
+simulated from images alone; instead a part of the luminance pattern is replaced by itself, turned. Look-alikes are made
+of the same pixels: stretched, scaled, bent, mirrored or recoloured, or a plain shape in the object's mean colour. They
+are harder to tell apart than most real objects, because they share either colour or shape with it.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List, Tuple
+
+import cv2
+import numpy as np
+
+from embodied_active_learning.objects.appearance import (
+    PIXEL,
+    SIDE,
+    Appearance,
+    grid_cells,
+    pixel_positions,
+    relative_positions,
+)
+from embodied_active_learning.objects.colours import colour_distance, colour_features
+
+LOOK_ALIKES = ("stretched", "scaled", "bent", "mirrored", "recoloured", "plain")
+_GAIN, _GRADIENT, _BALANCE = (-0.6, 0.4), 0.2, 0.05
+"""Ranges of the light: log luminance, its change per 5 cm, shift of the colour shares."""
+_GRADIENT_UNIT = 0.05
+_NOISE = (0.005, 0.03)
+"""Range of the standard deviation of the noise, in features after the blur."""
+_KEPT_PATTERN = (0.3, 1.0)
+"""Range of the correlation of the luminance pattern with that of the stored view."""
+_TABLE_LUMINANCE, _TABLE_COLOUR, _TABLE_CONTRAST, _TABLE_WAVES = (-2.0, -0.1), 0.9, 0.3, (60.0, 400.0)
+"""Ranges of a simulated table: log luminance, distance from grey, amplitude and wave number [rad/m] of a pattern."""
+_STRETCH, _SCALES, _BEND, _BEND_WAVES = (1.2, 1.5), (0.66, 1.5), 0.012, (0.06, 0.1)
+"""Ranges of a look-alike's shape: factor along one axis and across it, size, amplitude [m] and wavelength [m]."""
+_RECOLOURING = (0.35, 0.8)
+_ASPECT = (1.0, 3.5)
+_PIXELS = pixel_positions()
+
+
+class SimulatedViews:
+    """Views of one simulated place: a Views whose images correspond to those of the fingerprint."""
+
+    def __init__(self, appearance: Appearance, random: np.random.Generator, look_alike: str = "") -> None:
+        """Draw table, light and, for one of LOOK_ALIKES, another object."""
+        self._appearance = appearance
+        self.states = appearance.fingerprint.states
+        self._random = random
+        self._look_alike = look_alike
+        self._light = _draw_light(random)
+        self._table = _draw_table(random)
+        self._noise = random.uniform(*_NOISE)
+        self._kept = random.uniform(*_KEPT_PATTERN)
+        self._turn = random.uniform(0.0, 360.0)
+        self._mean = appearance.inside_features[appearance.central_view].mean(axis=0)
+        self._source = self._draw_source()
+        self._recolouring = random.uniform(*_RECOLOURING) * _colour_direction(random)
+        self._plain_mask = _draw_plain_mask(appearance.area, random)
+        self._scenes: Dict[int, Tuple[np.ndarray, np.ndarray]] = {}
+
+    def features(self, view: int, points: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Features (..., 3) at points (..., 2) of the table, and which of them are in view."""
+        if view not in self._scenes:
+            self._scenes[view] = self._scene(view)
+        features, valid = self._scenes[view]
+        seen = relative_positions(points.reshape(-1, 2), self._appearance.fingerprint.centre)
+        rows, columns, _ = grid_cells(seen.reshape(points.shape))  # beyond the border: its last pixel
+        return features[rows, columns], valid[rows, columns]
+
+    def _scene(self, view: int) -> Tuple[np.ndarray, np.ndarray]:
+        """Features (SIDE, SIDE, 3) of the simulated place, and which of its pixels are in view."""
+        shown, features, valid = self._object(view)
+        scene = np.where(shown[..., None], features, self._table) + self._light
+        scene += self._noise * self._random.standard_normal(scene.shape, dtype=np.float32)
+        return scene.astype(np.float32), valid | ~shown
+
+    def _object(self, view: int) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The object or its look-alike: where it is shown (SIDE, SIDE), its features, and which pixels are known."""
+        appearance = self._appearance
+        if self._look_alike == "plain":
+            features = np.broadcast_to(self._mean, (SIDE, SIDE, 3)).astype(np.float32)
+            return self._plain_mask, features, np.ones((SIDE, SIDE), dtype=bool)
+        mask, valid = appearance.masks[view], appearance.in_view[view]
+        features = colour_features(appearance.colours[view])
+        pattern = np.where(mask, features[..., 0] - self._mean[0], 0.0).astype(np.float32)
+        turn = cv2.getRotationMatrix2D((SIDE / 2 - 0.5, SIDE / 2 - 0.5), self._turn, 1.0)
+        turned = cv2.warpAffine(pattern, turn, (SIDE, SIDE))
+        features[..., 0] = self._mean[0] + self._kept * pattern + np.sqrt(1.0 - self._kept**2) * turned
+        if self._look_alike == "recoloured":
+            features[..., 1:] += self._recolouring
+        if not self._look_alike or self._look_alike == "recoloured":
+            return mask, features, valid
+        layers = np.dstack([features, mask.astype(np.float32), valid.astype(np.float32)])
+        layers = cv2.remap(layers, *self._source, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        return layers[..., 3] > 0.5, layers[..., :3], layers[..., 4] > 0.5
+
+    def _draw_source(self) -> Tuple[np.ndarray, np.ndarray]:
+        """Column and row (SIDE, SIDE) float32 of the stored view that a look-alike shows at each pixel."""
+        random = self._random
+        angle, wave = random.uniform(0.0, np.pi), 2.0 * np.pi / random.uniform(*_BEND_WAVES)
+        axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        stretch = axes @ np.diag([random.uniform(*_STRETCH), 1.0 / random.uniform(*_STRETCH)]) @ axes.T
+        scale, phases = random.choice(_SCALES), random.uniform(0.0, 2.0 * np.pi, 2)
+        shapes = {
+            "stretched": stretch,
+            "scaled": scale * np.eye(2),
+            "mirrored": np.diag([-1.0, 1.0]) @ axes @ np.diag([_STRETCH[0], 1.0 / _STRETCH[0]]) @ axes.T,
+        }
+        source = _PIXELS @ np.linalg.inv(shapes.get(self._look_alike, np.eye(2))).T
+        if self._look_alike == "bent":
+            source = source + _BEND * np.sin(wave * source[..., ::-1] + phases)
+        columns, rows = np.moveaxis(source / PIXEL + SIDE / 2 - 0.5, -1, 0).astype(np.float32)
+        return columns, rows
+
+
+def _draw_light(random: np.random.Generator) -> np.ndarray:
+    """A change (SIDE, SIDE, 3) of the features by other light."""
+    light = np.zeros((SIDE, SIDE, 3), np.float32)
+    gradient = random.uniform(-_GRADIENT, _GRADIENT, 2) / _GRADIENT_UNIT
+    light[..., 0] = random.uniform(*_GAIN) + _PIXELS @ gradient
+    light[..., 1:] = random.uniform(-_BALANCE, _BALANCE, 2)
+    return light
+
+
+def _draw_table(random: np.random.Generator) -> np.ndarray:
+    """Features (SIDE, SIDE, 3) of a table with a regular pattern."""
+    table = np.ones((SIDE, SIDE, 3), np.float32)
+    waves = np.sin(random.uniform(*_TABLE_WAVES, 2) * _PIXELS + random.uniform(0.0, 2.0 * np.pi, 2))
+    contrast = random.uniform(0.0, _TABLE_CONTRAST)
+    table[..., 0] = random.uniform(*_TABLE_LUMINANCE) + contrast * waves[..., 0] * waves[..., 1]
+    table[..., 1:] += random.uniform(0.0, _TABLE_COLOUR) * _colour_direction(random)
+    return table
+
+
+def _draw_plain_mask(area: float, random: np.random.Generator) -> np.ndarray:
+    """An ellipse or a rectangle (SIDE, SIDE) of an area [m^2]."""
+    aspect = random.uniform(*_ASPECT)
+    half = 0.5 * np.sqrt([area * aspect, area / aspect])
+    relative = np.abs(_PIXELS) / half
+    return (relative**2).sum(axis=-1) < 4.0 / np.pi if random.random() < 0.5 else (relative < 1.0).all(axis=-1)
+
+
+def _colour_direction(random: np.random.Generator) -> np.ndarray:
+    """A change (2,) of the red and green shares by a distance of 1."""
+    angle = random.uniform(0.0, 2.0 * np.pi)
+    change = np.array([np.cos(angle), np.sin(angle)])
+    return change / np.sqrt(colour_distance(change))
+
+
+def draw_views(appearance: Appearance, random: np.random.Generator, count: int) -> List[int]:
+    """Draw usable views without repetition, at most count."""
+    usable = np.flatnonzero(appearance.usable)
+    return [int(view) for view in random.choice(usable, min(count, len(usable)), replace=False)]
