@@ -109,6 +109,10 @@ class Appearance:
         distance[:, list(excluded)] = np.inf
         return distance.argmin(axis=1)
 
+    def middle_at(self, pose: np.ndarray) -> np.ndarray:
+        """Return the pose (3,) of the object's visible middle if its fingerprint's centre is at a pose (3,)."""
+        return np.array([*place(self.middle[None], pose[None])[0, 0], pose[2]])
+
     @property
     def central_view(self) -> int:
         """The usable view from most directly above."""

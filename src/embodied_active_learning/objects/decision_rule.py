@@ -106,7 +106,7 @@ class DecisionRule:
             outcome = NOT_HERE
             reason = f"best similarity {value:.2f}, limit {limits.miss_limit:.2f}"
         return replace(
-            self._decision(target, candidate.pose, outcome, reason),
+            self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
             confidence=limits.confidence(value),
             residual=1.0 - value if len(candidate.views) else np.inf,
             views=len(candidate.views),
