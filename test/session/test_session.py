@@ -188,7 +188,7 @@ def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 4}, "version is 4, but this package reads versions up to 3; install the newer version"),
+        ({"version": 5}, "version is 5, but this package reads versions up to 4; install the newer version"),
         ({}, "sha256 is missing, so the end of the file was lost"),
         ({"format": None}, "format is None: expected"),
         ({"config": {"camera": {"width": -3}}}, "camera/width is -3"),
@@ -208,13 +208,13 @@ def test_description_that_is_not_understood_is_refused_by_file_and_field(tmp_pat
 
 
 def test_session_of_version_2_is_read(tmp_path):
-    """Version 2 had other names for two settings."""
+    """Version 2 had settings that are ignored today."""
     create(tmp_path)
     path = tmp_path / "a" / "config.yaml"
     content = {**yaml.safe_load(path.read_text()), "version": 2}
     del content["sha256"]
     keys = content["config"]["identification"]
-    keys["mismatch_limit"], keys["min_rise"] = keys.pop("residual_limit"), keys.pop("min_prominence")
+    keys["mismatch_limit"], keys["min_rise"] = 0.07, 0.02
     write_checksummed(path, content)
     assert Session.open_read_only(tmp_path / "a").config == make_config(tmp_path)
     content["version"] = 3

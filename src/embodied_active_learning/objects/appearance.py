@@ -56,6 +56,7 @@ class Appearance:
         in_view: (V, SIDE, SIDE) which of their pixels the image shows.
         masks: (V, SIDE, SIDE) which of them are the object's.
         area: Median visible area of the object [m^2].
+        contrast: Standard deviation of the object's log luminance, and of its colour.
         middle: (2,) mean position of its pixels [m].
         problem: Why the object cannot be recognised, and the remedy; empty if it can.
     """
@@ -98,8 +99,8 @@ class Appearance:
                 "told apart: learn it on a plainer table"
             )
         self.clutter = share
-        luminance = self.inside_features[self.usable][..., 0]
-        self.luminance_std = float(np.median(luminance.std(axis=1)))
+        std = self.inside_features[self.usable].std(axis=1)
+        self.contrast = float(np.median(std[:, 0])), float(np.median(np.hypot(std[:, 1], std[:, 2])))
         self.middle = self.inside_points[self.usable].mean(axis=(0, 1))
 
     def nearest_views(self, offsets: np.ndarray, excluded: Union[Sequence[int], np.ndarray] = ()) -> np.ndarray:

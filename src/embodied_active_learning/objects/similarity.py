@@ -17,7 +17,7 @@ from embodied_active_learning.objects.colours import colour_distance
 
 Indices = Union[Sequence[int], np.ndarray]
 LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
-"""Differences of log luminance and of colour at which a match is 1/2. The object's own contrast adds to the first:
+"""Differences of log luminance and of colour at which a match is 1/2. The object's own contrast is added:
 shading moves over an object that is turned under a fixed light."""
 _GAIN = (-1.0, 0.6)
 """Limits of the gain: log luminance of the view minus that of the stored view."""
@@ -91,11 +91,17 @@ def matches(
     poses = np.asarray(pose)[None]
     inside, valid = views.features(view, place(appearance.inside_points[stored], poses))
     change = inside - appearance.inside_features[stored]
-    scale = np.hypot(LUMINANCE_SCALE, appearance.luminance_std)
+    scale = _scale(appearance)
     light = _fit_light(change, valid, appearance.inside_points[stored], scale)
     ring, _ = views.features(view, place(appearance.ring_points[stored], poses))
     of_ring = _match(ring - appearance.ring_features[stored], appearance.ring_points[stored], light, scale)
     return _match(change, appearance.inside_points[stored], light, scale)[0], of_ring[0]
+
+
+def _scale(appearance: Appearance) -> Tuple[float, float]:
+    """Differences of log luminance and of colour at which a match with an object is 1/2."""
+    luminance, colour = appearance.contrast
+    return float(np.hypot(LUMINANCE_SCALE, luminance)), float(np.hypot(COLOUR_SCALE, colour))
 
 
 def _in_view(
@@ -109,7 +115,7 @@ def _in_view(
     inside, inside_valid = views.features(view, place(inside_points, poses))
     ring, ring_valid = views.features(view, place(ring_points, poses))
     change = inside - appearance.inside_features[stored, ::stride]
-    scale = np.hypot(LUMINANCE_SCALE, appearance.luminance_std)
+    scale = _scale(appearance)
     light = _fit_light(change, inside_valid, inside_points, scale)
     of_inside = _mean(_match(change, inside_points, light, scale), inside_valid)
     of_ring = _mean(_match(ring - appearance.ring_features[stored, ::stride], ring_points, light, scale), ring_valid)
@@ -117,7 +123,7 @@ def _in_view(
     return np.where(inside_valid.mean(axis=1) < _LEAST_INSIDE, -1.0, of_inside - of_ring)
 
 
-def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale: float) -> Light:
+def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale: Tuple[float, float]) -> Light:
     """Robust fit of the light to changes (P, K, 3) of the features at points (K, 2) of the object."""
     luminance = change[..., 0]
     x, y = (points / _GRADIENT_UNIT).T
@@ -127,7 +133,7 @@ def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale:
     weight = seen
     for _ in range(2):
         error = luminance - gain[:, None] - gradient[:, :1] * x - gradient[:, 1:] * y
-        weight = seen / (1.0 + (error / scale) ** 2)
+        weight = seen / (1.0 + (error / scale[0]) ** 2)
         step = (weight * error).sum(axis=1) / (weight.sum(axis=1) + 1e-6)
         gain, error = gain + step, error - step[:, None]
         xx, xy, yy = (weight @ product for product in (x * x, x * y, y * y))
@@ -141,12 +147,12 @@ def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale:
     return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), np.clip(balance, -_BALANCE, _BALANCE))
 
 
-def _match(change: np.ndarray, points: np.ndarray, light: Light, scale: float) -> np.ndarray:
+def _match(change: np.ndarray, points: np.ndarray, light: Light, scale: Tuple[float, float]) -> np.ndarray:
     """Match (P, K), 0 to 1, of changes (P, K, 3) that the light does not explain."""
     x, y = (points / _GRADIENT_UNIT).T
     error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
     colour = colour_distance(change[..., 1:] - light.balance[:, None])
-    return 1.0 / (1.0 + (error / scale) ** 2 + colour / COLOUR_SCALE**2)
+    return 1.0 / (1.0 + (error / scale[0]) ** 2 + colour / scale[1] ** 2)
 
 
 def _mean(values: np.ndarray, valid: np.ndarray) -> np.ndarray:

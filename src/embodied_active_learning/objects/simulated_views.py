@@ -24,12 +24,12 @@ from embodied_active_learning.objects.appearance import (
 from embodied_active_learning.objects.colours import colour_distance, colour_features
 
 LOOK_ALIKES = ("stretched", "scaled", "bent", "mirrored", "recoloured", "plain")
-_GAIN, _GRADIENT, _BALANCE = (-0.6, 0.4), 0.2, 0.05
+_GAIN, _GRADIENT, _BALANCE = (-0.9, 0.4), 0.25, 0.08
 """Ranges of the light: log luminance, its change per 5 cm, shift of the colour shares."""
 _GRADIENT_UNIT = 0.05
-_NOISE = (0.005, 0.03)
+_NOISE = (0.01, 0.05)
 """Range of the standard deviation of the noise, in features after the blur."""
-_KEPT_PATTERN = (0.3, 1.0)
+_KEPT_PATTERN = (0.2, 1.0)
 """Range of the correlation of the luminance pattern with that of the stored view."""
 _TABLE_LUMINANCE, _TABLE_COLOUR, _TABLE_CONTRAST, _TABLE_WAVES = (-2.0, -0.1), 0.9, 0.3, (60.0, 400.0)
 """Ranges of a simulated table: log luminance, distance from grey, amplitude and wave number [rad/m] of a pattern."""
