@@ -3,8 +3,13 @@
 
     source setup.bash && python3 benchmarks/benchmark_identification.py
 
+<<<<<<< HEAD
 Models have random weights, views and images are noise, in the paper's sizes; the speed does not depend on them.
 Both variants alternate in one process, so other load on the machine affects them alike. The ratio is most reliable.
+=======
+Models have random weights, and images show discs on a noisy table, all in the paper's sizes.
+The fast and the plain way take turns in one process: other load on the machine meets both alike. Trust the ratio first.
+>>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ import torch
 from measuring import Row, Section, Turn, resident_memory, row, run, timed
 
 from embodied_active_learning.config import Config, IdentificationConfig
-from embodied_active_learning.geometry import move, wrap
+from embodied_active_learning.geometry import move, table_points, wrap
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
@@ -36,9 +41,15 @@ FULL_STREAM = 2000  # images
 STREAM_PART = 64  # images that the identifier processes at a time
 NAIVE_PART = 4
 
+<<<<<<< HEAD
 # Noise has no belief peaks. With these limits, each of a fingerprint's twelve candidates is compared once with the
 # largest number of views, also in a short stream. In simulated streams there were about six comparisons.
 SETTINGS = IdentificationConfig(min_prominence=0.0, min_agreement=0.0, view_distance=0.2)
+=======
+SETTINGS = IdentificationConfig()
+TABLE, OBJECT_COLOURS, OBJECT_RADIUS = (170, 165, 150), ((200, 40, 30), (40, 70, 200)), 0.03  # grey levels, m
+NOISE = 8.0  # grey levels
+>>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
 
 
 class Stream(NamedTuple):
@@ -103,20 +114,40 @@ class NaiveIdentification:
 
 
 def make_stream(config: Config, count: int, seed: int = 0) -> Stream:
+<<<<<<< HEAD
     """Return images of noise from states across the workspace."""
+=======
+    """Discs at the centres of the objects, seen from all over the workspace."""
+>>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
     random, box = np.random.default_rng(seed), config.workspace.box()
-    shape = (count, config.camera.height, config.camera.width, 3)
-    return Stream(random.uniform(box.lower, box.upper, (count, 3)), random.integers(0, 256, shape, dtype=np.uint8))
+    states = random.uniform(box.lower, box.upper, (count, 3))
+    return Stream(states, make_images(config, states, random))
+
+
+def make_images(config: Config, states: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Images (N, H, W, 3) uint8 of the discs on a noisy table, from states (N, 3)."""
+    camera = config.camera
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+    points = table_points(states[:, None, None], rows, columns, camera)
+    images = np.empty((*points.shape[:-1], 3))
+    images[:] = TABLE
+    for centre, colour in zip(CENTRES, OBJECT_COLOURS):
+        images[np.hypot(*np.moveaxis(points - centre[:2], -1, 0)) < OBJECT_RADIUS] = colour
+    return np.clip(images + NOISE * random.standard_normal(images.shape), 0, 255).astype(np.uint8)
 
 
 def make_set(config: Config, seed: int = 0) -> FingerprintSet:
+<<<<<<< HEAD
     """Return a set with a random model and noise as the views of two objects and a blank."""
+=======
+    """A random model, and views of two discs and of a blank place."""
+>>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
     torch.manual_seed(seed)
     weights = ConditionalVAE((config.camera.height, config.camera.width), 3, config.model).state_dict()
     model, random, fingerprints = TrainedModel(config, weights), np.random.default_rng(seed), []
     for number, centre in enumerate(CENTRES):
         states = config.workspace.box().clip(random.normal(centre, (0.01, 0.01, 0.8), (VIEWS, 3)))
-        images = make_stream(config, VIEWS, seed + number + 1).images
+        images = make_images(config, states, random)
         kind = BLANK if number == len(CENTRES) - 1 else OBJECT
         name, latents = f"{kind}-{number + 1}", model.encode(states, images)
         fingerprints.append(Fingerprint(name, kind, np.array(centre), states, images, *latents, 0.0))
@@ -174,7 +205,11 @@ def many_section(config: Config, models: int, images: int) -> Section:
         Row("whole", value=f"{whole:.0f} s for {FULL_STREAM} images{measured}", target="180 s"),
         Row("resident memory", value=f"{resident_memory():.0f} MiB"),
     ]
+<<<<<<< HEAD
     how = f"{len(searches[0].targets)} fingerprints of {models} models, twelve comparisons each."
+=======
+    how = f"{len(looking[0].targets)} fingerprints of {models} models, with their calibration."
+>>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
     return Section("Identification: many models", how, rows)
 
 

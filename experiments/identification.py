@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import Config, IdentificationConfig
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.report import SAME_PLACE, Truth, nearest, score
@@ -231,7 +231,7 @@ def peaks(item: SearchTarget, settings: IdentificationConfig) -> List[Decision]:
     """The peaks of a belief as claims, the highest first."""
     own = item.session, item.fingerprint.name, item.fingerprint.kind
     found = item.grid.peaks(settings.separation, settings.candidates)
-    return [Decision(*own, True, 0, peak.pose, 0.0, 0.0, 0, peak.mean, peak.std, "") for peak in found]
+    return [Decision(*own, FOUND, 0, peak.pose, 0.0, 0.0, 0.0, 0, peak.mean, peak.std, "") for peak in found]
 
 
 def ranked(item: SearchTarget, settings: IdentificationConfig, instances: int) -> List[Decision]:

@@ -190,6 +190,17 @@ def test_fingerprint_without_object_is_undecided_with_remedy():
     assert decision.reason.startswith("no object distinct from the table in its views: train longer")
 
 
+def test_reset_search_gives_decisions_of_new_search():
+    search = make_identification()
+    search.observe(*stream((put(RED, THERE),)))
+    search.reset()
+    assert search.images == 0
+    search.observe(*stream())
+    for one, other in zip(search.decide(*stream()), decide()):
+        np.testing.assert_array_equal(one.pose, other.pose)
+        assert (one.outcome, one.belief_mean) == (other.outcome, other.belief_mean)
+
+
 def test_candidates_of_belief_find_same_objects():
     decisions = decide(candidates_from="belief")
     assert_found(of(decisions, "object-1"), [HERE])

@@ -40,7 +40,8 @@ _SIMILAR_AREA = 0.25
 """Smallest share of the median area at which a view is used: others were cut by the image's border."""
 _CLUTTER = 0.1
 """Largest area around the object, relative to its own, with colours of neither the object nor the table elsewhere."""
-_CROSS, _CLOSING = np.ones((3, 3), np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+_CROSS: np.ndarray = np.ones((3, 3), np.uint8)
+_CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 _RING_INNER, _RING_OUTER = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)) for size in (5, 15))
 
 
@@ -67,11 +68,11 @@ class Appearance:
         self.fingerprint = fingerprint
         self.camera = camera
         self.offsets = relative_positions(fingerprint.states, fingerprint.centre)
-        self.inside_points = np.zeros((views, INSIDE_POINTS, 2), np.float32)
-        self.inside_features = np.zeros((views, INSIDE_POINTS, 3), np.float32)
-        self.ring_points = np.zeros((views, RING_POINTS, 2), np.float32)
-        self.ring_features = np.zeros((views, RING_POINTS, 3), np.float32)
-        self.masks = np.zeros((views, SIDE, SIDE), dtype=bool)
+        self.inside_points: np.ndarray = np.zeros((views, INSIDE_POINTS, 2), np.float32)
+        self.inside_features: np.ndarray = np.zeros((views, INSIDE_POINTS, 3), np.float32)
+        self.ring_points: np.ndarray = np.zeros((views, RING_POINTS, 2), np.float32)
+        self.ring_features: np.ndarray = np.zeros((views, RING_POINTS, 3), np.float32)
+        self.masks: np.ndarray = np.zeros((views, SIDE, SIDE), dtype=bool)
         self.colours, self.in_view = self._rectified()
         self.problem = ""
         table = _table(fingerprint, fingerprints, camera)
@@ -135,7 +136,7 @@ class Appearance:
         inside = cv2.erode(mask, _CROSS)
         inside = inside if inside.sum() >= _LEAST_PIXELS / 2 else mask
         ring = (cv2.dilate(mask, _RING_OUTER) > 0) & (cv2.dilate(mask, _RING_INNER) == 0)
-        extended = _extended(features, inside > 0)
+        extended = _extended(features, np.greater(inside, 0))
         for shown, count, points, values in (
             (inside > 0, INSIDE_POINTS, self.inside_points, self.inside_features),
             (ring, RING_POINTS, self.ring_points, self.ring_features),
@@ -198,7 +199,7 @@ def _table(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], camera
 def _away_from_others(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]) -> np.ndarray:
     """Which rectified pixels (SIDE, SIDE) are not near the centre of another object of the set."""
     points = place(_GRID, fingerprint.centre[None])[0]
-    away = np.ones(len(points), dtype=bool)
+    away: np.ndarray = np.ones(len(points), dtype=bool)
     for other in fingerprints:
         if other.kind == OBJECT and other is not fingerprint:
             away &= np.hypot(*(points - other.centre[:2]).T) > OBJECT_REACH
@@ -212,16 +213,17 @@ def _object_mask(foreground: np.ndarray) -> np.ndarray:
     count, labels, statistics, centres = cv2.connectedComponentsWithStats(cleaned)
     if count == 1:
         return np.zeros_like(foreground)
-    distance = np.square(centres[1:] - SIDE / 2).sum(axis=1)
-    sizes = statistics[1:, cv2.CC_STAT_AREA] * np.exp(-0.5 * distance / (SIDE / 6) ** 2)
-    return labels == 1 + int(sizes.argmax())
+    distance = np.square(np.asarray(centres)[1:] - SIDE / 2).sum(axis=1)
+    sizes = np.asarray(statistics)[1:, cv2.CC_STAT_AREA] * np.exp(-0.5 * distance / (SIDE / 6) ** 2)
+    return np.equal(labels, 1 + int(sizes.argmax()))
 
 
 def _extended(features: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Features (SIDE, SIDE, 3) where pixels outside have those of the nearest pixel inside."""
-    outside = (~inside).astype(np.uint8)
-    _, labels = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    source = np.zeros(labels.max() + 1, np.int64)
+    outside: np.ndarray = (~inside).astype(np.uint8)
+    _, found = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    labels = np.asarray(found)
+    source: np.ndarray = np.zeros(labels.max() + 1, np.int64)
     pixels = np.flatnonzero(inside)
     source[labels.ravel()[pixels]] = pixels
     return features.reshape(-1, 3)[source[labels]]

@@ -22,9 +22,9 @@ _WHITE = 765
 """Sum of the channels of a white pixel."""
 _DARK_LUMINANCE, _DARK_COLOUR = 0.02, 0.03
 """Added to luminance and to the sum of channels (1 and 3 are white), so that dark pixels have stable features."""
-_LEVELS = np.arange(_WHITE + 1, dtype=np.float32)
+_LEVELS: np.ndarray = np.arange(_WHITE + 1, dtype=np.float32)
 _LOG_LUMINANCE = np.log(_LEVELS / _WHITE + _DARK_LUMINANCE)
-_SHARE = (3.0 / (_LEVELS + 255.0 * _DARK_COLOUR)).astype(np.float32)
+_SHARE: np.ndarray = (3.0 / (_LEVELS + 255.0 * _DARK_COLOUR)).astype(np.float32)
 _CLUSTERS = 8
 _FIT_PIXELS = 8000
 _LEAST_SHARE = 0.005
@@ -71,16 +71,17 @@ class TableColours:
         count = min(_CLUSTERS, len(chosen))
         cv2.setRNGSeed(1)
         criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 1e-3)
-        _, labels, centres = cv2.kmeans(chosen, count, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
+        _, found, centres = cv2.kmeans(chosen, count, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
+        labels = np.ravel(found)
         table = np.zeros((len(places), count))
-        np.add.at(table, (source, labels[:, 0]), 1.0)
+        np.add.at(table, (source, labels), 1.0)
         table /= np.maximum(table.sum(axis=1, keepdims=True), 1.0)
         common = (table > _LEAST_SHARE).sum(axis=0) >= min(2, len(places))
         kept = np.flatnonzero(common) if common.any() else np.array([int(table.sum(axis=0).argmax())])
-        self._centres = centres[kept]
+        self._centres = np.asarray(centres)[kept]
         self._whitening: List[np.ndarray] = []
         for index, centre in zip(kept, self._centres):
-            change = chosen[labels[:, 0] == index] - centre
+            change = chosen[labels == index] - centre
             covariance = change.T @ change / max(len(change), 1) + _NOISE**2 * np.eye(3)
             self._whitening.append(np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32))
 
@@ -100,7 +101,7 @@ def table_features(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]
     """
     rows, columns = np.mgrid[0 : camera.height : _STRIDE, 0 : camera.width : _STRIDE]
     points = table_points(fingerprint.states[:, None, None], rows, columns, camera)
-    bare = np.ones(points.shape[:-1], dtype=bool)
+    bare: np.ndarray = np.ones(points.shape[:-1], dtype=bool)
     for other in fingerprints:
         if other.kind == OBJECT:
             bare &= np.hypot(*np.moveaxis(points - other.centre[:2], -1, 0)) > OBJECT_REACH

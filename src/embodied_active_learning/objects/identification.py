@@ -64,6 +64,13 @@ class Identification:
         """Every fingerprint that is searched for, grouped by session."""
         return [target for _, group in self._groups for target in group]
 
+    def reset(self) -> None:
+        """Forget the stream, to search another scene. What was learned about the fingerprints is kept."""
+        self._weights = EvidenceWeights(self._settings)
+        self.images = 0
+        for target in self.targets:
+            target.reset(BeliefGrid(self._workspace, self._settings))
+
     def observe(self, states: np.ndarray, images: np.ndarray) -> None:
         """Process the next images of the stream.
 

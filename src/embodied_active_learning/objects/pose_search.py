@@ -29,7 +29,7 @@ from embodied_active_learning.objects.similarity import (
 
 _YAWS = np.arange(36) * (2.0 * np.pi / 36)
 _COLOURS = 3
-_GAINS = (-0.5, -0.15, 0.2)
+_GAINS = (-0.9, -0.5, -0.15, 0.2)
 """Log gains between the stored views and the scene that candidates are searched with."""
 _BALANCE = 0.05
 _PEAK_SIZE = 9

@@ -23,7 +23,7 @@ class SceneViews:
 
     def __init__(self, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> None:
         """Keep the images; they are blurred when they are first used."""
-        self.states = np.asarray(states, dtype=np.float64).reshape(-1, 3)
+        self.states: np.ndarray = np.asarray(states, dtype=np.float64).reshape(-1, 3)
         self._images = images
         self._camera = camera
         self._blurred: Dict[int, np.ndarray] = {}
@@ -67,7 +67,8 @@ class Mosaic:
         steps = (np.arange(size) + 0.5 - size / 2) * MOSAIC_PIXEL
         self.x, self.y = (middle + steps for middle in (lower + upper) / 2.0)
         points = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
-        colours, seen = np.zeros((len(points), 3), np.uint8), np.zeros(len(points), dtype=bool)
+        colours: np.ndarray = np.zeros((len(points), 3), np.uint8)
+        seen: np.ndarray = np.zeros(len(points), dtype=bool)
         if len(views.states):
             _, source = cKDTree(views.states[:, :2]).query(points)
             order = np.argsort(source, kind="stable")

@@ -75,6 +75,11 @@ class SearchTarget:
             self._parts = [joined]
         return self._parts[0]
 
+    def reset(self, grid: BeliefGrid) -> None:
+        """Forget all measurements and start from another belief."""
+        self.grid = grid
+        self._parts = []
+
     def observe(self, matches: Matches, weights: np.ndarray) -> None:
         """Update the belief with the measurements of N images and the evidence weight (N,) of each."""
         self._parts.append(matches)

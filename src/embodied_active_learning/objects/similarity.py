@@ -19,6 +19,8 @@ Indices = Union[Sequence[int], np.ndarray]
 LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
 """Differences of log luminance and of colour at which a match is 1/2. The object's own contrast is added:
 shading moves over an object that is turned under a fixed light."""
+_LARGEST_CONTRAST = (0.2, 0.1)
+"""Parts of the object's contrast that are added at most: in objects of several colours more of it is pattern."""
 _GAIN = (-1.0, 0.6)
 """Limits of the gain: log luminance of the view minus that of the stored view."""
 _GRADIENT = 0.3
@@ -100,7 +102,7 @@ def matches(
 
 def _scale(appearance: Appearance) -> Tuple[float, float]:
     """Differences of log luminance and of colour at which a match with an object is 1/2."""
-    luminance, colour = appearance.contrast
+    luminance, colour = np.minimum(appearance.contrast, _LARGEST_CONTRAST)
     return float(np.hypot(LUMINANCE_SCALE, luminance)), float(np.hypot(COLOUR_SCALE, colour))
 
 
@@ -127,9 +129,9 @@ def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale:
     """Robust fit of the light to changes (P, K, 3) of the features at points (K, 2) of the object."""
     luminance = change[..., 0]
     x, y = (points / _GRADIENT_UNIT).T
-    seen = valid.astype(np.float32)
+    seen: np.ndarray = valid.astype(np.float32)
     gain = np.nan_to_num(np.median(luminance, axis=1))
-    gradient = np.zeros((len(gain), 2), np.float32)
+    gradient: np.ndarray = np.zeros((len(gain), 2), np.float32)
     weight = seen
     for _ in range(2):
         error = luminance - gain[:, None] - gradient[:, :1] * x - gradient[:, 1:] * y

@@ -80,11 +80,11 @@ class SimulatedViews:
         """The object or its look-alike: where it is shown (SIDE, SIDE), its features, and which pixels are known."""
         appearance = self._appearance
         if self._look_alike == "plain":
-            features = np.broadcast_to(self._mean, (SIDE, SIDE, 3)).astype(np.float32)
-            return self._plain_mask, features, np.ones((SIDE, SIDE), dtype=bool)
+            plain: np.ndarray = np.broadcast_to(self._mean, (SIDE, SIDE, 3)).astype(np.float32)
+            return self._plain_mask, plain, np.ones((SIDE, SIDE), dtype=bool)
         mask, valid = appearance.masks[view], appearance.in_view[view]
         features = colour_features(appearance.colours[view])
-        pattern = np.where(mask, features[..., 0] - self._mean[0], 0.0).astype(np.float32)
+        pattern: np.ndarray = np.where(mask, features[..., 0] - self._mean[0], 0.0).astype(np.float32)
         turn = cv2.getRotationMatrix2D((SIDE / 2 - 0.5, SIDE / 2 - 0.5), self._turn, 1.0)
         turned = cv2.warpAffine(pattern, turn, (SIDE, SIDE))
         features[..., 0] = self._mean[0] + self._kept * pattern + np.sqrt(1.0 - self._kept**2) * turned
@@ -117,7 +117,7 @@ class SimulatedViews:
 
 def _draw_light(random: np.random.Generator) -> np.ndarray:
     """A change (SIDE, SIDE, 3) of the features by other light."""
-    light = np.zeros((SIDE, SIDE, 3), np.float32)
+    light: np.ndarray = np.zeros((SIDE, SIDE, 3), np.float32)
     gradient = random.uniform(-_GRADIENT, _GRADIENT, 2) / _GRADIENT_UNIT
     light[..., 0] = random.uniform(*_GAIN) + _PIXELS @ gradient
     light[..., 1:] = random.uniform(-_BALANCE, _BALANCE, 2)
@@ -126,7 +126,7 @@ def _draw_light(random: np.random.Generator) -> np.ndarray:
 
 def _draw_table(random: np.random.Generator) -> np.ndarray:
     """Features (SIDE, SIDE, 3) of a table with a regular pattern."""
-    table = np.ones((SIDE, SIDE, 3), np.float32)
+    table: np.ndarray = np.ones((SIDE, SIDE, 3), np.float32)
     waves = np.sin(random.uniform(*_TABLE_WAVES, 2) * _PIXELS + random.uniform(0.0, 2.0 * np.pi, 2))
     contrast = random.uniform(0.0, _TABLE_CONTRAST)
     table[..., 0] = random.uniform(*_TABLE_LUMINANCE) + contrast * waves[..., 0] * waves[..., 1]
