@@ -3,13 +3,8 @@
 
     source setup.bash && python3 benchmarks/benchmark_identification.py
 
-<<<<<<< HEAD
-Models have random weights, views and images are noise, in the paper's sizes; the speed does not depend on them.
-Both variants alternate in one process, so other load on the machine affects them alike. The ratio is most reliable.
-=======
 Models have random weights, and images show discs on a noisy table, all in the paper's sizes.
 The fast and the plain way take turns in one process: other load on the machine meets both alike. Trust the ratio first.
->>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
 """
 
 from __future__ import annotations
@@ -41,15 +36,9 @@ FULL_STREAM = 2000  # images
 STREAM_PART = 64  # images that the identifier processes at a time
 NAIVE_PART = 4
 
-<<<<<<< HEAD
-# Noise has no belief peaks. With these limits, each of a fingerprint's twelve candidates is compared once with the
-# largest number of views, also in a short stream. In simulated streams there were about six comparisons.
-SETTINGS = IdentificationConfig(min_prominence=0.0, min_agreement=0.0, view_distance=0.2)
-=======
 SETTINGS = IdentificationConfig()
 TABLE, OBJECT_COLOURS, OBJECT_RADIUS = (170, 165, 150), ((200, 40, 30), (40, 70, 200)), 0.03  # grey levels, m
 NOISE = 8.0  # grey levels
->>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
 
 
 class Stream(NamedTuple):
@@ -114,11 +103,7 @@ class NaiveIdentification:
 
 
 def make_stream(config: Config, count: int, seed: int = 0) -> Stream:
-<<<<<<< HEAD
-    """Return images of noise from states across the workspace."""
-=======
     """Discs at the centres of the objects, seen from all over the workspace."""
->>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
     random, box = np.random.default_rng(seed), config.workspace.box()
     states = random.uniform(box.lower, box.upper, (count, 3))
     return Stream(states, make_images(config, states, random))
@@ -137,11 +122,7 @@ def make_images(config: Config, states: np.ndarray, random: np.random.Generator)
 
 
 def make_set(config: Config, seed: int = 0) -> FingerprintSet:
-<<<<<<< HEAD
-    """Return a set with a random model and noise as the views of two objects and a blank."""
-=======
     """A random model, and views of two discs and of a blank place."""
->>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
     torch.manual_seed(seed)
     weights = ConditionalVAE((config.camera.height, config.camera.width), 3, config.model).state_dict()
     model, random, fingerprints = TrainedModel(config, weights), np.random.default_rng(seed), []
@@ -205,11 +186,7 @@ def many_section(config: Config, models: int, images: int) -> Section:
         Row("whole", value=f"{whole:.0f} s for {FULL_STREAM} images{measured}", target="180 s"),
         Row("resident memory", value=f"{resident_memory():.0f} MiB"),
     ]
-<<<<<<< HEAD
-    how = f"{len(searches[0].targets)} fingerprints of {models} models, twelve comparisons each."
-=======
-    how = f"{len(looking[0].targets)} fingerprints of {models} models, with their calibration."
->>>>>>> 8b0a153 (Search all brightness levels, allow reuse of a search, type the decision)
+    how = f"{len(searches[0].targets)} fingerprints of {models} models, with their calibration."
     return Section("Identification: many models", how, rows)
 
 
