@@ -170,7 +170,11 @@ def _place_all(settings: Dict[str, ObjectSettings], folder: Path) -> Tuple[Place
 def _place(name: str, settings: ObjectSettings, model: ObjectModel) -> PlacedObject:
     if settings.colour is None and not model.has_colour:
         _log.warning("objects/%s is rendered white: %s defines no colour; set colour in the world", name, model.urdf)
-    stem = model.urdf.stem
+    largest, stem = float(model.extent.max()), model.urdf.stem
+    if not largest > 0.0:
+        raise WorldError(
+            f"objects/{name}: {model.mesh} has no extent: all its vertices are in one place; export it again"
+        )
     scale = 1.0 if settings.scale is None else settings.scale
     return PlacedObject(
         name=name,
@@ -178,7 +182,7 @@ def _place(name: str, settings: ObjectSettings, model: ObjectModel) -> PlacedObj
         model=model,
         position=settings.position,
         yaw=settings.yaw,
-        scale=scale if settings.size is None else settings.size / float(model.extent.max()),
+        scale=scale if settings.size is None else settings.size / largest,
         height=settings.height,
         colour=settings.colour,
     )
