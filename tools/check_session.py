@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
-from embodied_active_learning.objects.report import decision_table, score
+from embodied_active_learning.objects.report import score
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import Session
@@ -54,14 +54,13 @@ def fingerprinted(path: Path) -> str:
 
 
 def identified(path: Path, name: str) -> str:
-    """Check for stored decisions; return them with the true objects."""
+    """Check for stored decisions; return their score. The identifier has logged the decisions."""
     result = load_identification(path, name)
     sessions = dict.fromkeys(decision.session for decision in result.decisions)
     sets = [load_fingerprints(path.parent / session) for session in sessions]
     truth = true_scene(Session.open_read_only(path).config, sets)
     scored = score(result.decisions, truth)
     return (
-        f"\n{decision_table(result.decisions, truth)}\n\n"
         f"{scored.hits} of {scored.instances} objects found, {scored.false_claims} false claims, "
         f"{result.images} images\n"
         f"  beliefs  {path / 'figures' / 'beliefs.png'}\n"
