@@ -1,6 +1,7 @@
 """The Python API: learn, fingerprint and identify in one process, without ROS."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 
 import embodied_active_learning as eal
-from embodied_active_learning.errors import ConfigError, SessionError
+from embodied_active_learning.errors import ConfigError, CorruptFileError, SessionError
 from embodied_active_learning.pipeline import learning
 from embodied_active_learning.pipeline.learning import learn, ros_seconds
+from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint
 from embodied_active_learning.session.summary import read_summary
 from tiny import STEPS, TINY
 
@@ -143,3 +145,19 @@ print(json.dumps([early, late, "learn" in dir(eal), hasattr(eal, "nothing")]))
 """
     output = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     assert json.loads(output.splitlines()[-1]) == [[], [], True, False]
+
+
+@pytest.mark.parametrize("value", [None, "text", [1], {"a": 1}])
+@pytest.mark.parametrize("counter", ["observations", "updates", "skipped", "schedule", "generator"])
+def test_checkpoint_with_invalid_counter_is_refused(learned, tmp_path, counter, value):
+    """Its checksum is right, as if a program had written it."""
+    session, _ = learned
+    path = tmp_path / "run"
+    shutil.copytree(session.paths.path, path)
+    newest = load_latest(path / "checkpoints")
+    for other in (path / "checkpoints").iterdir():
+        other.unlink()
+    save_checkpoint(path / "checkpoints", newest.updates, newest.tensors, {**newest.counters, counter: value})
+    config = tiny(tmp_path, resume=True)
+    with pytest.raises(CorruptFileError, match=r"checkpoint_\d+\.safetensors"):
+        learning.TrainingRun(config)

@@ -213,7 +213,7 @@ class TrainingRun:
             return
         for reason in checkpoint.refused:
             LOG.warning("checkpoint skipped, using an older one: %s", reason)
-        observed = checkpoint.counters.get("observations", 0)
+        observed = checkpoint.observations
         if observed > self.observations:
             raise CorruptFileError(
                 f"observations missing: {self._session.paths.observations} holds {self.observations}, but "

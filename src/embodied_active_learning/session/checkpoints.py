@@ -12,7 +12,7 @@ import torch
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.schema import build, required
+from embodied_active_learning.schema import build, required, setting
 from embodied_active_learning.session.array_files import READER
 from embodied_active_learning.session.atomic import make_folder, remove_leftovers
 from embodied_active_learning.session.paths import stays_inside
@@ -28,6 +28,7 @@ class Checkpoint(NamedTuple):
     updates: int
     tensors: Dict[str, torch.Tensor]
     counters: Dict[str, Any]
+    observations: int  # that it was trained on
     refused: Tuple[str, ...] = ()  # errors of newer checkpoints that are damaged
 
 
@@ -37,6 +38,13 @@ class _Facts:
 
     updates: int = required("model updates", low=0)
     counters: Dict[str, Any] = required("counters of the training")  # noqa: RUF009
+
+
+@dataclass(frozen=True)
+class _Counters:
+    """The counter that the session checks; the others belong to the learner."""
+
+    observations: int = setting(0, "observations at the time of the checkpoint", low=0)
 
 
 def save_checkpoint(
@@ -82,7 +90,9 @@ def load_latest(folder: Path) -> Optional[Checkpoint]:
             tensors, stored = read_tensors(path, "checkpoint")
             facts = build(_Facts, stored, path, CorruptFileError, READER.remedy)
             READER.expect(path, stored, {"updates": int(path.stem.split("_")[1])})
-            return Checkpoint(path, facts.updates, tensors, facts.counters, tuple(refused))
+            known = {name: value for name, value in facts.counters.items() if name == "observations"}
+            counters = build(_Counters, known, f"{path}: counters", CorruptFileError, READER.remedy)
+            return Checkpoint(path, facts.updates, tensors, facts.counters, counters.observations, tuple(refused))
         except CorruptFileError as error:
             refused.append(str(error))
     if refused:
