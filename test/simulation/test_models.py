@@ -306,10 +306,10 @@ def test_unsuitable_size_is_rejected(tmp_path, scale, values, words):
 def test_mesh_without_extent_is_rejected(tmp_path):
     write_obj(tmp_path, scale=(0, 0, 0))
     write_urdf(tmp_path)
-    assert "has no extent" in rejection(tmp_path, size=0.08)
+    assert "has an extent of 0 m: check its vertices and scale" in rejection(tmp_path, size=0.08)
     write_obj(tmp_path, scale=(1e5, 1e5, 1e5))
     write_urdf(tmp_path, mesh='filename="thing.obj" scale="1e308 1e308 1e308"')
-    assert "measures" in rejection(tmp_path, size=0.08)
+    assert "has an extent of nan m" in rejection(tmp_path, size=0.08)
 
 
 def test_mesh_in_millimetres_is_used_with_size(tmp_path):
