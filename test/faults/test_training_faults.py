@@ -1,5 +1,6 @@
 """Training with non-finite losses, and training that is stopped and resumed: finite weights, one result."""
 
+import dataclasses
 import threading
 from contextlib import contextmanager
 
@@ -288,3 +289,29 @@ def test_invalid_counters_are_refused(tmp_path, damage):
     tensors, counters = run._learner.state_dict()
     with pytest.raises(CorruptFileError, match="invalid counters in the checkpoint"):
         run._learner.load_state_dict(LearnerState(tensors, {**counters, **damage}))
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0])
+def test_far_too_high_learning_rate_is_named_as_the_cause(tmp_path, rate):
+    """The loss stays finite, but grows so large that Adam's moments overflow."""
+    config = configured(tmp_path)
+    config = dataclasses.replace(config, training=dataclasses.replace(config.training, learning_rate=rate))
+    run = TrainingRun(config)
+    error = failure(run)
+    assert "training diverged" in error
+    assert "lower training/learning_rate" in error
+    resumed = TrainingRun(configured(tmp_path, resume=True))
+    resumed.close()
+
+
+def test_moments_that_are_not_finite_are_not_saved(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (_, _, errors):
+        learn(run, 6)
+        run._learner.join()
+        part = run._learner._optimiser.parts[1]
+        next(iter(part.state.values()))["exp_avg_sq"].fill_(float("inf"))
+        hand_over(run, range(6, STEPS))
+        run.log_std(np.zeros((1, 3)), 3 * (STEPS - 4), TIMEOUT)
+    assert not errors
+    assert run.rollbacks == 1

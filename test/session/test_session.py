@@ -320,6 +320,7 @@ def test_summary_has_the_last_values_of_the_tables(tmp_path):
             mse_own=0.001,
             mse_shuffled=0.02,
             mse_none=None,
+            verdict="not evaluated: the run has no evaluation yet; finish it, or lower training/evaluate_every",
         )
         write_summary(session.paths.summary, summarise(session, finished=True, wall_time=3.5))
         assert read_summary(session.paths.summary) == expected
@@ -366,7 +367,8 @@ def test_damaged_summary_is_removed_on_resume(tmp_path):
 def test_summary_of_a_run_that_recorded_nothing_has_no_numbers(tmp_path):
     with Session.open_for_writing(make_config(tmp_path)) as session:
         summary = summarise(session, finished=False, wall_time=0.0)
-    assert summary == Summary(finished=False, steps=0, updates=0, wall_time=0.0)
+    assert summary == Summary(finished=False, steps=0, updates=0, wall_time=0.0, verdict=summary.verdict)
+    assert summary.verdict.startswith("not enough steps: no model update")
     write_summary(tmp_path / "summary.yaml", summary)
     assert read_summary(tmp_path / "summary.yaml") == summary
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, Mapping, NamedTuple
+from typing import Any, Dict, Iterable, Mapping, NamedTuple, Optional
 
 import torch
 
@@ -20,6 +20,10 @@ class LearnerState(NamedTuple):
 
     tensors: Dict[str, torch.Tensor]
     counters: Dict[str, Any]
+
+    def non_finite(self) -> Optional[str]:
+        """Return the name of the first tensor with a value that is not finite, or None."""
+        return next((name for name, tensor in self.tensors.items() if not bool(tensor.isfinite().all())), None)
 
 
 def add_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:

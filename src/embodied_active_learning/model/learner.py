@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, Optional
 
@@ -30,12 +31,13 @@ from embodied_active_learning.model.optimiser import Optimiser
 from embodied_active_learning.model.replicas import Replicas
 from embodied_active_learning.model.schedule import Schedule
 
-ATTEMPTS = 5  # batches tried for one update before a non-finite loss counts as divergence
+ATTEMPTS = 5  # batches tried for one update before an invalid loss counts as divergence
+LOSS_LIMIT = 1e6  # nats per pixel value; a healthy model stays below 1e5 even if it is sure of a wrong image
 BATCHES_STREAM, STATES_STREAM, SUBSET_STREAM = 201, 202, 203  # of random numbers, for SeedSequence
 
 
 class DivergenceError(EmbodiedActiveLearningError):
-    """The loss or its gradient was not finite for several batches in a row."""
+    """The loss or its gradient was invalid for several batches in a row, or weights or moments are not finite."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ class Learner:
         stored, so that the result depends on the sequence of observations alone.
 
         Raises:
-            DivergenceError: Five losses or gradients in a row were not finite.
+            DivergenceError: Five losses or gradients in a row were not finite, or too large.
         """
         count = self._count(self.updates)
         if self.updates == 0 and self._config.training.start_at_mean_colour:
@@ -248,16 +250,16 @@ class Learner:
         self._random.bit_generator.state = counters["generator"]
 
     def _step(self, count: int, beta: float, gamma: float) -> LossTerms:
-        """Take a step on the first pair of batches whose loss and gradient are finite."""
+        """Take a step on the first pair of batches whose loss is finite and below LOSS_LIMIT, and gradient finite."""
         for _ in range(ATTEMPTS):
             terms = self._compute_gradients(count, beta, gamma)
-            if bool(torch.stack([terms.total, terms.gradient_sum]).isfinite().all()):
+            if float(terms.total) < LOSS_LIMIT and math.isfinite(float(terms.total + terms.gradient_sum)):
                 self._optimiser.step()
                 return terms
             self.skipped += 1
         raise DivergenceError(
-            f"training diverged: loss or gradient not finite for {ATTEMPTS} batches in a row at update"
-            f" {self.updates + 1}; lower training/learning_rate"
+            f"training diverged: loss or gradient not finite, or loss above {LOSS_LIMIT:g}, for {ATTEMPTS} batches in a"
+            f" row at update {self.updates + 1}; lower training/learning_rate"
         )
 
     def _compute_gradients(self, count: int, beta: float, gamma: float) -> LossTerms:

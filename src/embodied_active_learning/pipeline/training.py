@@ -126,17 +126,10 @@ class TrainingRun:
             SessionError: A file cannot be written.
         """
         while not stop.is_set():
-            if self._learner.updates < self.updates_due:
-                try:
-                    on_update(self._update())
-                except DivergenceError as error:
-                    self._rollback(error)
-            elif self._is_complete():
-                self._finish()
-                on_finish()
-            else:
-                self._wait_for_work(stop)
-            self._save_if_requested()
+            try:
+                self._advance(stop, on_update, on_finish)
+            except DivergenceError as error:
+                self._rollback(error)
         self._checkpoint()
 
     def wake(self) -> None:
@@ -225,6 +218,19 @@ class TrainingRun:
             raise type(error)(f"{checkpoint.path}: {error}") from error
         remove_file(self._session.paths.model)  # outdated as soon as training continues
 
+    def _advance(
+        self, stop: threading.Event, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]
+    ) -> None:
+        """Make an update, finish the run or wait, whichever is due; then write a checkpoint if requested."""
+        if self._learner.updates < self.updates_due:
+            on_update(self._update())
+        elif self._is_complete():
+            self._finish()
+            on_finish()
+        else:
+            self._wait_for_work(stop)
+        self._save_if_requested()
+
     def _update(self) -> UpdateReport:
         report = self._learner.update()
         self._training_table.append(dataclasses.asdict(report))
@@ -298,7 +304,13 @@ class TrainingRun:
             stored, path = self._checkpointed
             if stored == content and path.exists():
                 return path
-        tensors, counters = learner.state_dict()
+        state = learner.state_dict()
+        tensors, counters = state
+        invalid = state.non_finite()
+        if invalid is not None:
+            raise DivergenceError(
+                f"training diverged: {invalid} is not finite at update {self.updates}; lower training/learning_rate"
+            )
         counters["observations"] = self.observations
         kept = self._config.training.checkpoints_kept
         path = save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)

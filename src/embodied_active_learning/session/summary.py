@@ -13,6 +13,7 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.files import FileReader
+from embodied_active_learning.model.verdict import judge_run
 from embodied_active_learning.schema import build, to_plain
 from embodied_active_learning.session.atomic import remove_file
 from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
@@ -38,6 +39,7 @@ class Summary:
     mse_own: Optional[float] = None  # of pixels in [0, 1], each image decoded from its own latent
     mse_shuffled: Optional[float] = None  # ... from the latent of another image
     mse_none: Optional[float] = None  # ... from the mean of the prior
+    verdict: str = ""  # "name: explanation", see judge_run
 
 
 def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
@@ -49,13 +51,20 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
         wall_time: Seconds of all launches.
     """
     exploration, training, evaluation = (session.read_table(name) for name in ("exploration", "training", "evaluation"))
+    updates = int(_last(training, "update") or 0)
+    errors = {name: _last(evaluation, name) for name in ("mse_own", "mse_shuffled", "mse_none")}
+    ergodic_measure = _last(exploration, "ergodic_measure")
     return Summary(
         finished=finished,
         steps=len(exploration["step"]),
-        updates=int(_last(training, "update") or 0),
+        updates=updates,
         wall_time=round(float(wall_time), 3),
-        **{name: _last(evaluation, name) for name in ("active_units", "mse_own", "mse_shuffled", "mse_none")},
-        **{name: _last(exploration, name) for name in ("ergodic_measure", "coverage", "distance")},
+        active_units=_last(evaluation, "active_units"),
+        ergodic_measure=ergodic_measure,
+        coverage=_last(exploration, "coverage"),
+        distance=_last(exploration, "distance"),
+        **errors,
+        verdict=str(judge_run(updates, ergodic_measure=ergodic_measure, **errors)),
     )
 
 

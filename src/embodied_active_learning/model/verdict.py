@@ -1,0 +1,99 @@
+"""Judges whether a run has learned a useful model, from the numbers of its last evaluation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Optional
+
+GREY_IMAGE_ERROR = 0.25
+"""Largest possible mean squared error of a constant grey image; pixels are in [0, 1]."""
+HARMFUL = 2.0
+"""Ratio of the errors with own and without latent above which the latent does harm."""
+UNUSED, USEFUL = 0.2, 0.5
+"""Latent contribution below which the latent is not used, and from which on it is useful."""
+ENOUGH_UPDATES = 1000
+"""Updates after which a latent that is still not used will not become useful by itself."""
+HIGH_ERGODIC_MEASURE = 0.2
+"""[nat] Runs of the ergodic explorer end between 0.03 and 0.1."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Judgement of a run: a name for programs, and the explanation with a remedy for people."""
+
+    name: str
+    explanation: str
+
+    @property
+    def healthy(self) -> bool:
+        """Whether there is nothing to complain about."""
+        return self.name == "healthy"
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.explanation}"
+
+
+def latent_contribution(mse_own: float, mse_shuffled: float, mse_none: float) -> float:
+    """Return the share of the reconstruction error that an image's own latent removes, at most 1.
+
+    0: another image's latent, or none, does as well, so that the latent carries no information.
+
+    Args:
+        mse_own: Mean squared error of images decoded from their own latents.
+        mse_shuffled: From another image's latents.
+        mse_none: From the prior's mean, z = 0.
+    """
+    return 1.0 - mse_own / max(min(mse_shuffled, mse_none), 1e-12)
+
+
+def judge_run(
+    updates: int,
+    mse_own: Optional[float],
+    mse_shuffled: Optional[float],
+    mse_none: Optional[float],
+    ergodic_measure: Optional[float],
+) -> Verdict:
+    """Return the verdict on a run; None for numbers that it does not have.
+
+    Args:
+        updates: Number of model updates.
+        mse_own: See latent_contribution, as the other two errors.
+        mse_shuffled: As above.
+        mse_none: As above.
+        ergodic_measure: KL divergence between target and visited states [nat].
+    """
+    if updates == 0:
+        return Verdict("not enough steps", "no model update was made; raise exploration/steps")
+    if mse_own is None or mse_shuffled is None or mse_none is None:
+        return Verdict("not evaluated", "the run has no evaluation yet; finish it, or lower training/evaluate_every")
+    problem = _judge_model(updates, mse_own, mse_shuffled, mse_none)
+    if problem is not None:
+        return problem
+    if ergodic_measure is not None and ergodic_measure > HIGH_ERGODIC_MEASURE:
+        return Verdict(
+            "ergodic measure high",
+            f"visited states do not match the target ({ergodic_measure:.3g} nat, limit {HIGH_ERGODIC_MEASURE});"
+            " raise exploration/steps, or use exploration/explorer: ergodic",
+        )
+    return Verdict("healthy", _latent_use(mse_own, mse_shuffled, mse_none))
+
+
+def _judge_model(updates: int, mse_own: float, mse_shuffled: float, mse_none: float) -> Optional[Verdict]:
+    """Return what is wrong with the model, or None."""
+    if not mse_own <= min(GREY_IMAGE_ERROR, HARMFUL * mse_none):
+        return Verdict(
+            "diverged",
+            f"mean squared error {mse_own:.3g} with own latent, {mse_none:.3g} without latent, at most"
+            f" {GREY_IMAGE_ERROR} with a grey image; lower training/learning_rate",
+        )
+    share, use = latent_contribution(mse_own, mse_shuffled, mse_none), _latent_use(mse_own, mse_shuffled, mse_none)
+    if share < UNUSED and updates >= ENOUGH_UPDATES:
+        return Verdict("latent not used", f"{use}; lower objective/beta_max, or check that images show objects")
+    if share < USEFUL:
+        return Verdict("not enough steps", f"{use} after {updates} updates; raise exploration/steps")
+    return None
+
+
+def _latent_use(mse_own: float, mse_shuffled: float, mse_none: float) -> str:
+    share = max(0.0, latent_contribution(mse_own, mse_shuffled, mse_none))
+    return f"the latent removes {100.0 * share:.0f} % of the reconstruction error"
