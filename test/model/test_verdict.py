@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from embodied_active_learning.model.verdict import judge_run, latent_contribution
+from embodied_active_learning.model.verdict import ReconstructionErrors, judge_run
 
 
 @pytest.mark.parametrize(
@@ -47,6 +47,6 @@ def test_verdict_names_a_remedy(errors, remedy):
 
 
 def test_latent_contribution_is_relative_to_the_better_alternative():
-    assert latent_contribution(0.01, 0.1, 0.05) == pytest.approx(0.8)
-    assert latent_contribution(0.05, 0.1, 0.05) == 0.0
-    assert latent_contribution(0.0, 0.0, 0.0) == 1.0
+    assert ReconstructionErrors(0.01, 0.1, 0.05).latent_contribution == pytest.approx(0.8)
+    assert ReconstructionErrors(0.05, 0.1, 0.05).latent_contribution == 0.0
+    assert ReconstructionErrors(0.0, 0.0, 0.0).latent_contribution == 1.0

@@ -10,6 +10,7 @@ import torch
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.inference import Inference
 from embodied_active_learning.model.objective import Batch
+from embodied_active_learning.model.verdict import ReconstructionErrors
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,20 @@ def reconstruction_error(network: ConditionalVAE, inference: Inference, latents:
     return float(inference.errors(network, features, subset.images).double().mean())
 
 
+def reconstruction_errors(
+    network: ConditionalVAE, inference: Inference, latents: torch.Tensor, subset: Batch
+) -> ReconstructionErrors:
+    """Compare the subset's own latents (N, L) with those of the previous images, and with none; images in any order."""
+    alternatives = latents, latents.roll(1, dims=0), torch.zeros_like(latents)
+    return ReconstructionErrors(*(reconstruction_error(network, inference, used, subset) for used in alternatives))
+
+
 def evaluate_model(network: ConditionalVAE, inference: Inference, subset: Batch, threshold: float) -> Dict[str, Any]:
     """Return active units and the three reconstruction errors of an Evaluation, by field name."""
     features = inference.encode(network, subset.images)
     latents = network.encode_features(subset.states, features, inference.linear).mean
+    errors = reconstruction_errors(network, inference, latents, subset)
     return {
         "active_units": active_units(latents, threshold),
-        "mse_own": reconstruction_error(network, inference, latents, subset),
-        "mse_shuffled": reconstruction_error(network, inference, latents.roll(1, dims=0), subset),
-        "mse_none": reconstruction_error(network, inference, torch.zeros_like(latents), subset),
+        **{f"mse_{name}": error for name, error in errors._asdict().items()},
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Optional
+from typing import NamedTuple, Optional
 
 GREY_IMAGE_ERROR = 0.25
 """Largest possible mean squared error of a constant grey image; pixels are in [0, 1]."""
@@ -15,6 +15,19 @@ ENOUGH_UPDATES = 1000
 """Updates after which a latent that is still not used will not become useful by itself."""
 HIGH_ERGODIC_MEASURE = 0.2
 """[nat] Runs of the ergodic explorer end between 0.03 and 0.1."""
+
+
+class ReconstructionErrors(NamedTuple):
+    """Mean squared errors of images decoded from their own latents, from those of other images, and from z = 0."""
+
+    own: float
+    shuffled: float
+    none: float
+
+    @property
+    def latent_contribution(self) -> float:
+        """Share of the error that an image's own latent removes, at most 1; about 0 if the latent is not used."""
+        return 1.0 - self.own / max(min(self.shuffled, self.none), 1e-12)
 
 
 @dataclass(frozen=True)
@@ -33,19 +46,6 @@ class Verdict:
         return f"{self.name}: {self.explanation}"
 
 
-def latent_contribution(mse_own: float, mse_shuffled: float, mse_none: float) -> float:
-    """Return the share of the reconstruction error that an image's own latent removes, at most 1.
-
-    0: another image's latent, or none, does as well, so that the latent carries no information.
-
-    Args:
-        mse_own: Mean squared error of images decoded from their own latents.
-        mse_shuffled: From another image's latents.
-        mse_none: From the prior's mean, z = 0.
-    """
-    return 1.0 - mse_own / max(min(mse_shuffled, mse_none), 1e-12)
-
-
 def judge_run(
     updates: int,
     mse_own: Optional[float],
@@ -57,16 +57,17 @@ def judge_run(
 
     Args:
         updates: Number of model updates.
-        mse_own: See latent_contribution, as the other two errors.
-        mse_shuffled: As above.
-        mse_none: As above.
+        mse_own: Mean squared error of images decoded from their own latents.
+        mse_shuffled: From the latents of other images.
+        mse_none: Without a latent, from z = 0.
         ergodic_measure: KL divergence between target and visited states [nat].
     """
     if updates == 0:
         return Verdict("not enough steps", "no model update was made; raise exploration/steps")
     if mse_own is None or mse_shuffled is None or mse_none is None:
         return Verdict("not evaluated", "the run has no evaluation yet; finish it, or lower training/evaluate_every")
-    problem = _judge_model(updates, mse_own, mse_shuffled, mse_none)
+    errors = ReconstructionErrors(mse_own, mse_shuffled, mse_none)
+    problem = _judge_model(updates, errors)
     if problem is not None:
         return problem
     if ergodic_measure is not None and ergodic_measure > HIGH_ERGODIC_MEASURE:
@@ -75,18 +76,18 @@ def judge_run(
             f"visited states do not match the target ({ergodic_measure:.3g} nat, limit {HIGH_ERGODIC_MEASURE});"
             " raise exploration/steps, or use exploration/explorer: ergodic",
         )
-    return Verdict("healthy", _latent_use(mse_own, mse_shuffled, mse_none))
+    return Verdict("healthy", _latent_use(errors))
 
 
-def _judge_model(updates: int, mse_own: float, mse_shuffled: float, mse_none: float) -> Optional[Verdict]:
+def _judge_model(updates: int, errors: ReconstructionErrors) -> Optional[Verdict]:
     """Return what is wrong with the model, or None."""
-    if not mse_own <= min(GREY_IMAGE_ERROR, HARMFUL * mse_none):
+    if not errors.own <= min(GREY_IMAGE_ERROR, HARMFUL * errors.none):
         return Verdict(
             "diverged",
-            f"mean squared error {mse_own:.3g} with own latent, {mse_none:.3g} without latent, at most"
+            f"mean squared error {errors.own:.3g} with own latent, {errors.none:.3g} without latent, at most"
             f" {GREY_IMAGE_ERROR} with a grey image; lower training/learning_rate",
         )
-    share, use = latent_contribution(mse_own, mse_shuffled, mse_none), _latent_use(mse_own, mse_shuffled, mse_none)
+    share, use = errors.latent_contribution, _latent_use(errors)
     if share < UNUSED and updates >= ENOUGH_UPDATES:
         return Verdict("latent not used", f"{use}; lower objective/beta_max, or check that images show objects")
     if share < USEFUL:
@@ -94,6 +95,5 @@ def _judge_model(updates: int, mse_own: float, mse_shuffled: float, mse_none: fl
     return None
 
 
-def _latent_use(mse_own: float, mse_shuffled: float, mse_none: float) -> str:
-    share = max(0.0, latent_contribution(mse_own, mse_shuffled, mse_none))
-    return f"the latent removes {100.0 * share:.0f} % of the reconstruction error"
+def _latent_use(errors: ReconstructionErrors) -> str:
+    return f"the latent removes {100.0 * max(0.0, errors.latent_contribution):.0f} % of the reconstruction error"
