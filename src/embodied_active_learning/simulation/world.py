@@ -171,10 +171,8 @@ def _place(name: str, settings: ObjectSettings, model: ObjectModel) -> PlacedObj
     if settings.colour is None and not model.has_colour:
         _log.warning("objects/%s is rendered white: %s defines no colour; set colour in the world", name, model.urdf)
     largest, stem = float(model.extent.max()), model.urdf.stem
-    if not largest > 0.0:
-        raise WorldError(
-            f"objects/{name}: {model.mesh} has no extent: all its vertices are in one place; export it again"
-        )
+    if not 0.0 < largest < math.inf:
+        raise WorldError(f"objects/{name}: {model.mesh} has an extent of {largest:g} m: check its vertices and scale")
     scale = 1.0 if settings.scale is None else settings.scale
     return PlacedObject(
         name=name,
