@@ -113,8 +113,12 @@ class FrankaSupervisor:
         self._recover_on_request()
         if not self._has_error():
             return False
+        controllers = self._interface.controllers()
+        others = [name for name, one in controllers.items() if one.is_active and name != CONTROLLER]
+        if others:
+            raise RobotError(f"the robot still reports its error: stop {', '.join(others)}, then call /arm/recover")
         rospy.logwarn("the robot still reports its error: starting %s so that franka_control notices it", CONTROLLER)
-        ours = self._interface.controllers().get(CONTROLLER)
+        ours = controllers.get(CONTROLLER)
         if ours is None:
             self._interface.load()
         if ours is None or not ours.is_active:
