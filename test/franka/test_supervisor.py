@@ -1,0 +1,197 @@
+"""The supervisor prepares and recovers the robot: requests to franka_ros, recorded by an interface without ROS."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ArmNotReadyError, RobotError
+from embodied_active_learning.franka.driver import FrankaDriver
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
+from embodied_active_learning.franka.report import CONTROLLER, Condition, Controller, RobotMode
+from fake_franka.generate import use_messages
+
+CONFIG = Config.from_dict({"arm": {"robot": "franka"}})
+ERROR = ("communication_constraints_violation",)
+
+
+class Interface:
+    """A robot that starts and stops our controller; `recovers` lists whether each recovery clears the errors."""
+
+    has_subscriber = True
+
+    def __init__(self):
+        self.calls = []
+        self.running = {}
+        self.errors = ()
+        self.recovers = []
+        self.rejected = ""
+
+    def controllers(self):
+        return dict(self.running)
+
+    def other_publishers(self):
+        return []
+
+    def load(self):
+        self._call("load")
+        self.running[CONTROLLER] = Controller("initialized", True)
+
+    def start(self):
+        self._call("start")
+        self.running[CONTROLLER] = Controller("running", True)
+
+    def stop(self):
+        self._call("stop")
+        self.running[CONTROLLER] = Controller("stopped", True)
+
+    def set_collision_behaviour(self, config):
+        self._call("set_collision_behaviour")
+
+    def set_load(self, config):
+        self._call("set_load")
+
+    def set_stiffness(self, config):
+        self._call("set_stiffness")
+
+    def recover(self):
+        self._call("recover")
+        if self.recovers.pop(0):
+            self.errors = ()
+
+    def _call(self, name):
+        self.calls.append(name)
+        if name == self.rejected:
+            raise RobotError(f"{name} rejected")
+
+    @property
+    def mode(self):
+        if self.errors:
+            return RobotMode.REFLEX
+        ours = self.running.get(CONTROLLER)
+        return RobotMode.MOVE if ours is not None and ours.is_active else RobotMode.IDLE
+
+
+@pytest.fixture
+def lab(monkeypatch):
+    """A supervisor, its driver and the robot, on a clock that advances with every wait."""
+    use_messages()
+    from embodied_active_learning.ros.arm import franka_supervisor  # noqa: PLC0415 - needs the messages
+
+    clock = SimpleNamespace(now=10.0)
+    driver = FrankaDriver(CONFIG, lambda: clock.now)
+    interface = Interface()
+    transform = np.eye(4)
+    pose = CameraPose(tuple(CONFIG.workspace.box().centre), 0.0, (0.0, 0.0))
+    transform[:3, 3], transform[:3, :3] = CameraMount.from_config(CONFIG).end_effector(pose)
+
+    def passes(seconds=0.05):
+        for _ in range(max(round(seconds / 0.05), 1)):
+            clock.now += 0.05
+            driver.update_state(clock.now, 0.0, transform.T.ravel(), interface.mode, interface.errors, ())
+            driver.tick()
+
+    monkeypatch.setattr(franka_supervisor, "WallTimer", lambda period, function: None)
+    monkeypatch.setattr(franka_supervisor, "threading", SimpleNamespace(Lock=_Lock, Thread=_NoThread))
+    monkeypatch.setattr(franka_supervisor, "time", SimpleNamespace(monotonic=lambda: clock.now, sleep=passes))
+    monkeypatch.setattr(driver, "wait_until_ready", passes)
+    supervisor = franka_supervisor.FrankaSupervisor(interface, driver, CONFIG.franka)
+    passes(0.2)
+    return SimpleNamespace(supervisor=supervisor, driver=driver, interface=interface, passes=passes)
+
+
+class _Lock:
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_exception):
+        return None
+
+
+class _NoThread:
+    def __init__(self, **_arguments):
+        pass
+
+    def start(self):
+        pass
+
+
+def condition(lab):
+    lab.driver.why_not_ready()
+    return lab.driver.readiness.condition
+
+
+def test_robot_is_prepared_before_its_controller_is_started(lab):
+    lab.supervisor.check()
+    lab.passes(0.2)
+    assert lab.interface.calls == ["set_collision_behaviour", "set_load", "load", "set_stiffness", "start"]
+    assert condition(lab) is Condition.READY
+
+
+@pytest.mark.parametrize("request_", ["set_collision_behaviour", "set_load", "load", "set_stiffness"])
+def test_controller_is_not_started_after_rejected_setting(lab, request_):
+    lab.interface.rejected = request_
+    lab.supervisor.check()
+    assert "start" not in lab.interface.calls
+    assert lab.driver.why_not_ready() == f"{request_} rejected"
+    calls = len(lab.interface.calls)
+    lab.supervisor.check()
+    assert len(lab.interface.calls) == calls, "it is retried by a person only"
+
+
+def prepared(lab):
+    lab.supervisor.check()
+    lab.passes(0.2)
+    lab.interface.calls.clear()
+    return lab
+
+
+def test_requested_recovery_clears_reflex(lab):
+    prepared(lab)
+    lab.interface.errors, lab.interface.recovers = ERROR, [True]
+    lab.passes()
+    lab.supervisor.recover()
+    assert lab.interface.calls == ["recover"]
+    assert condition(lab) is Condition.READY
+
+
+def test_error_unknown_to_franka_control_is_provoked_and_cleared(lab):
+    """After its restart franka_control has no controllers, and its recovery has no effect at first."""
+    prepared(lab)
+    lab.interface.errors, lab.interface.recovers, lab.interface.running = ERROR, [False, True], {}
+    lab.passes()
+    lab.supervisor.recover()
+    preparation = ["stop", "set_collision_behaviour", "set_load", "set_stiffness", "start"]
+    assert lab.interface.calls == ["recover", "load", "start", "recover", *preparation]
+    assert condition(lab) is Condition.READY
+
+
+def test_error_that_persists_is_reported_with_remedy(lab):
+    prepared(lab)
+    lab.interface.errors, lab.interface.recovers = ERROR, [False, False]
+    lab.passes()
+    with pytest.raises(RobotError, match=r"still reports communication.*Desk.*/arm/recover"):
+        lab.supervisor.recover()
+
+
+def test_controller_is_not_started_beside_another_one(lab):
+    prepared(lab)
+    lab.interface.running = {"other": Controller("running", True)}
+    lab.interface.errors, lab.interface.recovers = ERROR, [False]
+    lab.passes()
+    with pytest.raises(RobotError, match="stop other, then call /arm/recover"):
+        lab.supervisor.recover()
+    assert lab.interface.calls == ["recover"]
+
+
+def test_recovery_during_user_stop_is_rejected(lab):
+    prepared(lab)
+    type(lab.interface).mode, mode = RobotMode.USER_STOPPED, type(lab.interface).mode
+    try:
+        lab.passes()
+        with pytest.raises(ArmNotReadyError, match="user stop is pressed"):
+            lab.supervisor.recover()
+    finally:
+        type(lab.interface).mode = mode
+    assert lab.interface.calls == []
