@@ -28,9 +28,9 @@ def test_world_markers_show_table_and_objects():
     workspace = Config().workspace.box()
     table, box, label = world_markers(SimpleNamespace(top_view=top_view, objects=[duck]), workspace).markers
     assert {marker.header.frame_id for marker in (table, box, label)} == {names.BASE_FRAME}
-    assert len(table.points) == len(table.colors) == 120**2
-    for point, colour in zip(table.points, table.colors):
-        assert (colour.r, colour.b) == ((1, 0) if point.y > 0 else (0, 1))
+    assert len(table.points) == len(table.colors) == 6 * 100**2
+    for corners, colour in zip(np.reshape([point.y for point in table.points], (-1, 6)), table.colors[::6]):
+        assert (colour.r, colour.b) == ((1, 0) if corners.mean() > 0 else (0, 1))
     half = max(abs(point.x) for point in table.points)
     assert table.pose.position.x - half < workspace.lower[0]
     assert (box.pose.position.x, box.pose.position.y, box.pose.position.z) == (0.4, 0.1, 0.02)

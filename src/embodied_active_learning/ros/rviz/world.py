@@ -15,8 +15,8 @@ from embodied_active_learning.simulation.scene import SceneObject
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.workspace import Workspace
 
-_CELLS = 120  # of the table along each side
-_CELL_THICKNESS = 0.001  # m, below the table's surface
+_CELLS = 100  # of the table along each side
+_TABLE_DEPTH = 0.001  # m below the objects, so that discs on the table are visible
 _MARGIN = 0.1  # m of table around the workspace
 _BOX_COLOUR = ColorRGBA(0.2, 0.4, 0.8, 0.25)
 
@@ -34,15 +34,16 @@ def world_markers(simulation: Simulation, workspace: Workspace) -> MarkerArray:
 
 
 def _table_marker(stamp: rospy.Time, picture: np.ndarray, centre: np.ndarray, size: float) -> Marker:
-    """One flat cube per pixel of a picture (N, N, 3) uint8 from above; right is +x, up is +y."""
-    cell = size / len(picture)
-    offsets = (np.arange(len(picture)) + 0.5) * cell - size / 2.0
-    position = Point(float(centre[0]), float(centre[1]), -_CELL_THICKNESS / 2.0)
-    shape, white = Vector3(cell, cell, _CELL_THICKNESS), ColorRGBA(1.0, 1.0, 1.0, 1.0)
-    table = marker(stamp, "table", 0, Marker.CUBE_LIST, position, shape, white)
-    for y, row in zip(offsets[::-1].tolist(), (picture / 255.0).tolist()):
-        table.points += [Point(x, y, 0.0) for x in offsets.tolist()]
-        table.colors += [ColorRGBA(*pixel, 1.0) for pixel in row]
+    """Two triangles per pixel of a picture (N, N, 3) uint8 from above; right is +x, up is +y."""
+    edges = (np.linspace(-0.5, 0.5, len(picture) + 1) * size).tolist()
+    position = Point(float(centre[0]), float(centre[1]), -_TABLE_DEPTH)
+    white = ColorRGBA(1.0, 1.0, 1.0, 1.0)
+    table = marker(stamp, "table", 0, Marker.TRIANGLE_LIST, position, Vector3(1.0, 1.0, 1.0), white)
+    for bottom, top, row in zip(edges[:-1], edges[1:], (picture[::-1] / 255.0).tolist()):
+        for left, right, pixel in zip(edges[:-1], edges[1:], row):
+            corners = [Point(x, y, 0.0) for x, y in ((left, bottom), (right, bottom), (right, top), (left, top))]
+            table.points += [corners[index] for index in (0, 1, 2, 0, 2, 3)]
+            table.colors += [ColorRGBA(*pixel, 1.0)] * 6
     return table
 
 
