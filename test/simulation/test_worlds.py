@@ -15,8 +15,7 @@ from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.simulation import resources
 from embodied_active_learning.simulation.scene import Scene
-from embodied_active_learning.simulation.world import Disturbances, load_world, world_names
-from embodied_active_learning.simulation.world_settings import GeneratedTexture
+from embodied_active_learning.simulation.world import DEFAULT_TEXTURE, Disturbances, load_world, world_names
 from embodied_active_learning.workspace import Workspace
 
 WORKSPACE = Workspace()
@@ -224,11 +223,12 @@ def test_table_of_one_colour_is_logged(tmp_path, caplog):
 
 def test_default_table_is_plain_but_not_featureless(load):
     table = load("objects: {}").table
-    assert table.generated == GeneratedTexture("plain", 0)
+    assert table.generated == DEFAULT_TEXTURE
     scene = Scene(load("objects: {}"), CameraConfig())
     images = [scene.render((x, 0.0, 0.0)) for x in (0.4, 0.5)]
     scene.close()
     assert images[0].std(axis=(0, 1)).min() > 0.5
+    assert images[0].max() < 230, "no room for brighter light"
     assert not np.array_equal(*images)
 
 

@@ -32,6 +32,8 @@ from embodied_active_learning.workspace import Workspace
 
 _TABLE_MARGIN = 0.25  # m of table around the workspace: more than half the camera's footprint
 _MAX_OBJECTS = 200
+DEFAULT_TEXTURE = GeneratedTexture("plain", 57)
+"""Light grey with faint grain: images of one colour would hold the arm."""
 _READER = FileReader(WorldError, "see docs/worlds.md and the worlds in worlds/", follow=True)
 
 _log = logging.getLogger(__name__)
@@ -194,7 +196,7 @@ def _build_table(settings: TableSettings, folder: Path, workspace: Workspace) ->
         check_picture(texture)
     generated = settings.generate
     if texture is None and settings.colour is None and generated is None:
-        generated = GeneratedTexture("plain")
+        generated = DEFAULT_TEXTURE
     return Table(
         centre=settings.centre or centre,
         size=settings.size or size,

@@ -33,7 +33,7 @@ class TableSettings:
         None, "red, green, blue of a table of one colour", "", 0.0, 1.0, length=3
     )
     generate: Optional[GeneratedTexture] = None
-    """Texture made from a seed; default: plain, 0."""
+    """Texture made from a seed; default: plain, light grey."""
 
     def __post_init__(self) -> None:
         """Reject contradictory surfaces."""
