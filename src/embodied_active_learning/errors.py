@@ -1,64 +1,64 @@
-"""The package's named errors: each message says what is wrong, where, and what to do about it."""
+"""The exceptions of this package. Each message names the problem, its place and the remedy."""
 
 
 class EmbodiedActiveLearningError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base class of all exceptions of this package."""
 
 
 class ConfigError(EmbodiedActiveLearningError, ValueError):
-    """A configuration value, or the key that names it, cannot be used."""
+    """A key or a value of the configuration is invalid."""
 
 
 class WorldError(EmbodiedActiveLearningError, ValueError):
-    """A simulated world cannot be built from its file."""
+    """A world file is invalid."""
 
 
 class SessionError(EmbodiedActiveLearningError):
-    """A session folder is in use, is not ours, or cannot be read."""
+    """A session is in use, missing, or cannot be read or written."""
 
 
 class CorruptFileError(SessionError):
-    """A stored file is damaged, or was not written by this package."""
+    """A stored file is damaged or of another format."""
 
 
 class BagError(EmbodiedActiveLearningError):
-    """A recorded bag is damaged, holds nothing of what is looked for, or cannot be written."""
+    """A bag is damaged, has no suitable messages, or cannot be written."""
 
 
 class ObservationError(EmbodiedActiveLearningError, ValueError):
-    """An image or a state is not what the model was built for, and was not stored."""
+    """An image or a state does not fit the model and was not stored."""
 
 
 class CommandError(EmbodiedActiveLearningError, ValueError):
-    """A motion command was refused, and the arm stands still."""
+    """A motion command was rejected; the arm does not move."""
 
 
 class ArmFailedError(CommandError):
-    """The arm took a command and did not carry it out: a reflex, or a pose that was not reached."""
+    """The arm accepted a command but failed to execute it: a reflex, or a pose that was not reached."""
 
 
 class ArmStoppedError(CommandError):
-    """Somebody stopped the arm: it takes no command until arm/recover is called."""
+    """The arm was stopped: it rejects commands until arm/recover is called."""
 
 
 class ArmBusyError(CommandError):
-    """Another node drives the arm, or it is carrying out a command."""
+    """Another node controls the arm, or a command is being executed."""
 
 
 class ArmNotReadyError(ArmBusyError):
-    """The robot cannot take a command now: its states have stopped, say, or a reflex is being recovered from."""
+    """The robot is not ready for commands, for example during the recovery from a reflex."""
 
 
 class RobotError(EmbodiedActiveLearningError):
-    """The robot's own software refused something, or did not answer."""
+    """The robot's driver rejected a request or did not respond."""
 
 
 class MissingPackageError(EmbodiedActiveLearningError):
-    """Something that only some runs need is not installed."""
+    """An optional package is not installed."""
 
 
 class BusyError(EmbodiedActiveLearningError):
-    """What was asked for can be done only once at a time, and is under way."""
+    """The requested task is already running."""
 
 
 class TaskCancelledError(EmbodiedActiveLearningError):
@@ -66,8 +66,8 @@ class TaskCancelledError(EmbodiedActiveLearningError):
 
 
 class NoResponseError(CommandError):
-    """A motion command was not answered: whether the arm carries it out is not known."""
+    """No response to a motion command: the arm may or may not execute it."""
 
 
 class RunFailedError(EmbodiedActiveLearningError):
-    """Another node of the run has given up; the message is its reason."""
+    """Another node of the run has failed; the message is its error."""

@@ -1,6 +1,6 @@
-"""Reading files that somebody may have damaged, exchanged or made up: plain files of bounded size, and plain data.
+"""Safe reading of untrusted files: regular files of bounded size, and plain data that is never executed.
 
-What is refused is named: the file, what is wrong with it, and what to do about it. Nothing in a file is ever run.
+Errors name the file, the problem and the remedy.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import yaml
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 
 LARGEST_YAML = 2**18
-"""Bytes of the largest YAML file that is read: many times the largest of ours, and read within seconds."""
+"""Largest YAML file that is read [bytes]; it is parsed within seconds."""
 
-_DEEPEST = 32  # levels of YAML or JSON; more would only serve to exhaust the interpreter's stack
-_LONGEST_NUMBER = 64  # characters; longer ones fit no setting, and take ever longer to convert
+_DEEPEST = 32  # levels of nesting, to protect the interpreter's stack
+_LONGEST_NUMBER = 64  # characters; the conversion of long integers is slow
 _SHOWN = 200  # characters of a value in a message
 _KINDS = (
     (stat.S_ISDIR, "it is a folder"),
@@ -34,17 +34,22 @@ _KINDS = (
 
 
 def open_plain(path: Path, mode: str = "rb", follow: bool = False) -> BinaryIO:
-    """Open a regular file without a buffer, to read ("rb") or to read and write ("r+b", which makes it when missing).
+    """Open a regular file unbuffered.
 
-    Raises OSError for everything that is no regular file, without opening it: a pipe would block, a device may act. A
-    symbolic link as the last part of the path is one such thing unless it is to be followed.
+    Args:
+        path: The file.
+        mode: "rb" to read, or "r+b" to read and write; the latter creates a missing file.
+        follow: Accept a symbolic link as the last part of the path.
+
+    Raises:
+        OSError: The path is not a regular file. It is then not opened, because pipes block and devices may act.
     """
     _refuse_special(path, follow)
     flags = os.O_RDONLY if mode == "rb" else os.O_RDWR | os.O_CREAT
     flags |= os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW)
     stream = os.fdopen(os.open(path, flags, 0o666), mode, buffering=0)
     try:
-        _refuse_kind(os.fstat(stream.fileno()).st_mode)  # it may have been exchanged meanwhile
+        _refuse_kind(os.fstat(stream.fileno()).st_mode)  # it may have been replaced meanwhile
     except OSError:
         stream.close()
         raise
@@ -55,8 +60,11 @@ def open_plain(path: Path, mode: str = "rb", follow: bool = False) -> BinaryIO:
 class FileReader:
     """Reads files of one kind.
 
-    error is raised for whatever is wrong, remedy is the end of its message, limit is the most bytes that are read, and
-    follow says whether the file may be a symbolic link, as the files of people are and those of a session are not.
+    Attributes:
+        error: Exception class for all problems.
+        remedy: End of each message.
+        limit: Largest file that is read [bytes].
+        follow: Accept symbolic links, as for files of users; the files of a session are never links.
     """
 
     error: Type[EmbodiedActiveLearningError]
@@ -65,16 +73,16 @@ class FileReader:
     follow: bool = False
 
     def refuse(self, subject: Any, complaint: str) -> EmbodiedActiveLearningError:
-        """The error to raise about a file, or a place in it."""
+        """Return the exception for a problem with a file or a place in it."""
         return self.error(f"{subject} {complaint}: {self.remedy}")
 
     def check(self, path: Path) -> int:
-        """Refuse what is no regular file, or too large to be read. -> its size in bytes."""
+        """Check that a file is regular and not too large. Return its size in bytes."""
         with self._open(path) as stream:
             return self._size(path, stream)
 
     def read_bytes(self, path: Path) -> bytes:
-        """The content of a file, which is not read when it is too large."""
+        """Return the content of a file that is not too large."""
         with self._open(path) as stream:
             size = self._size(path, stream)
             try:
@@ -83,14 +91,14 @@ class FileReader:
                 raise self._unreadable(path, error) from error
 
     def read_text(self, path: Path) -> str:
-        """The content of a UTF-8 file."""
+        """Return the content of a UTF-8 file."""
         try:
             return self.read_bytes(path).decode("utf-8")
         except UnicodeDecodeError as error:
-            raise self.refuse(path, f"is no UTF-8 text ({error})") from error
+            raise self.refuse(path, f"is not UTF-8 text ({error})") from error
 
     def read_yaml(self, path: Path) -> Dict[str, Any]:
-        """The fields of a YAML file, as parse_yaml reads them."""
+        """Return the fields of a YAML file, see parse_yaml."""
         text = self.read_text(path)
         try:
             content = parse_yaml(text)
@@ -99,11 +107,11 @@ class FileReader:
         return self._fields(path, content)
 
     def read_json(self, path: Path) -> Dict[str, Any]:
-        """The fields of a JSON file."""
+        """Return the fields of a JSON file."""
         return self.parse_json(path, self.read_text(path))
 
     def parse_json(self, subject: Any, text: str) -> Dict[str, Any]:
-        """The fields of a JSON text that was found in the subject, which names it in messages."""
+        """Return the fields of a JSON text. subject: origin of the text for messages."""
         try:
             content = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -111,7 +119,7 @@ class FileReader:
         return self._fields(subject, content)
 
     def expect(self, subject: Any, content: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-        """Refuse content whose fields have other values than those expected."""
+        """Check that fields have the expected values."""
         for field, value in expected.items():
             found = content.get(field)
             if repr(found) != repr(value):  # 1, 1.0 and True are equal, but not in a file
@@ -125,13 +133,13 @@ class FileReader:
     def _open(self, path: Path) -> BinaryIO:
         try:
             return open_plain(path, follow=self.follow)
-        except (OSError, ValueError) as error:  # the latter for names that no file can have
+        except (OSError, ValueError) as error:  # ValueError: the name contains a null character
             raise self._unreadable(path, error) from error
 
     def _size(self, path: Path, stream: BinaryIO) -> int:
         size = os.fstat(stream.fileno()).st_size
         if size > self.limit:
-            raise self.refuse(path, f"has {size} bytes, and {self.limit} are allowed")
+            raise self.refuse(path, f"has {size} bytes, at most {self.limit} are allowed")
         return size
 
     def _unreadable(self, path: Path, error: Exception) -> EmbodiedActiveLearningError:
@@ -141,10 +149,11 @@ class FileReader:
 
 
 def parse_yaml(text: str) -> Any:
-    """Plain data: texts, numbers, truth values, nothing, lists, and mappings whose keys are texts, each there once.
+    """Parse YAML into texts, numbers, booleans, None, lists, and dictionaries with unique text keys.
 
-    Raises ValueError for everything else. Tags are refused, because they could ask for more than data, and anchors,
-    because a few lines of them stand for more data than any memory holds; so are nesting and numbers beyond all use.
+    Raises:
+        ValueError: The text is not YAML, or uses tags (which can create objects), anchors (a few lines of which can
+            expand to more data than fits into memory), deep nesting, or ambiguous numbers.
     """
     try:
         loader = _PlainLoader(text)
@@ -157,13 +166,13 @@ def parse_yaml(text: str) -> Any:
 
 
 def shown(value: Any) -> str:
-    """A value as a message shows it, however large it is."""
+    """Return the representation of a value for messages, truncated if it is long."""
     text = repr(value)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """SafeLoader without what plain data does not need."""
+    """SafeLoader restricted to plain data."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -172,11 +181,11 @@ class _PlainLoader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> yaml.Node:
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
-            raise _error("anchors are not understood, write the value out", event.start_mark)
+            raise _error("anchors are not supported, repeat the value", event.start_mark)
         if event.tag is not None:
-            raise _error(f"the tag {shown(event.tag)} is not understood, write the value alone", event.start_mark)
+            raise _error(f"the tag {shown(event.tag)} is not supported, write the value only", event.start_mark)
         if self._depth == _DEEPEST:
-            raise _error(f"it is nested deeper than {_DEEPEST} levels", event.start_mark)
+            raise _error(f"nested deeper than {_DEEPEST} levels", event.start_mark)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -187,9 +196,9 @@ class _PlainLoader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise _error(f"{shown(key)} is no text, as names are: put it in quotes", key_node.start_mark)
+                raise _error(f"key {shown(key)} is not a text: put it in quotes", key_node.start_mark)
             if key in keys:
-                raise _error(f"{shown(key)} stands twice", key_node.start_mark)
+                raise _error(f"duplicate key {shown(key)}", key_node.start_mark)
             keys.add(key)
         return super().construct_mapping(node, deep)
 
@@ -203,7 +212,7 @@ class _PlainLoader(yaml.SafeLoader):
 
     @staticmethod
     def _check_number(node: yaml.ScalarNode) -> None:
-        """Refuse what YAML 1.1 reads as another number than people expect: 1:30 as 90, and 010 as 8."""
+        """Refuse numbers that YAML 1.1 interprets unexpectedly: 1:30 as 90, and 010 as 8."""
         if len(node.value) > _LONGEST_NUMBER:
             raise _error(f"a number has {len(node.value)} digits", node.start_mark)
         digits = node.value.lstrip("+-")
@@ -222,7 +231,7 @@ def _error(complaint: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:
 
 
 def _in_words(error: yaml.YAMLError) -> str:
-    """What is wrong, in one line."""
+    """Return a one-line description of a YAML error."""
     mark = getattr(error, "problem_mark", None)
     if mark is None:
         return " ".join(str(error).split())
@@ -239,12 +248,12 @@ def _refuse_special(path: Path, follow: bool) -> None:
 
 def _refuse_kind(mode: int) -> None:
     if not stat.S_ISREG(mode):
-        kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "it is no plain file")
+        kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "it is not a regular file")
         raise OSError(errno.EINVAL, kind)
 
 
 def _read(stream: BinaryIO, size: int) -> bytes:
-    """The first bytes of a file, fewer when it has become shorter; not what was appended since."""
+    """Read up to size bytes: fewer if the file was truncated meanwhile, and nothing that was appended."""
     parts: List[bytes] = []
     while size > 0:
         parts.append(stream.read(size))

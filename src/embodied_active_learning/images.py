@@ -1,7 +1,6 @@
-"""Pictures as cameras send them, raw or compressed, to arrays, and to the size that the model takes.
+"""Decoding of raw and compressed camera images, and cropping and scaling to the size of the model.
 
-Whatever the bytes are, the answer is an array of the size that was announced, or an ObservationError: they come from
-another process, over a network.
+The bytes are not trusted: each function returns an array of the announced size or raises ObservationError.
 """
 
 from __future__ import annotations
@@ -16,20 +15,20 @@ import numpy as np
 from embodied_active_learning.errors import ObservationError
 
 LARGEST_SIDE = 8192
-"""Most pixels of a picture's side that are taken ..."""
+"""Largest accepted width and height of an image [px]."""
 LARGEST_AREA = 2**24
-"""... and most pixels in all."""
+"""Largest accepted number of pixels."""
 LARGEST_DATA = 2**26
-"""Most bytes of a compressed picture that are looked at."""
+"""Largest accepted size of a compressed image [bytes]."""
 
 
 class _Layout(NamedTuple):
     bytes_per_pixel: int
-    to_rgb: Optional[int]  # OpenCV's code of the conversion; None where there is nothing to convert
-    pixels_together: int = 1  # how many share their colour
+    to_rgb: Optional[int]  # conversion code of OpenCV; None for RGB
+    pixels_per_group: int = 1  # pixels that share their colour
 
 
-# YUV is BT.601 with Y from 16 to 235, which is what webcams mean by it, and what OpenCV converts.
+# YUV is BT.601 with Y from 16 to 235, as in webcams and OpenCV.
 _UYVY = _Layout(2, cv2.COLOR_YUV2RGB_UYVY, 2)
 _YUYV = _Layout(2, cv2.COLOR_YUV2RGB_YUY2, 2)
 _LAYOUTS: Dict[str, _Layout] = {
@@ -44,25 +43,34 @@ _LAYOUTS: Dict[str, _Layout] = {
     "yuv422_yuy2": _YUYV,
 }
 ENCODINGS = tuple(_LAYOUTS)
-"""Encodings of raw pictures that can be decoded, by the names of sensor_msgs/Image."""
+"""Supported encodings of raw images, named as in sensor_msgs/Image."""
 
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8\xff", b"\xff\xda", b"\xff\xd9"
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # markers of the segment that has the size
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # markers of the segment with the size
 _JPEG_ALONE = frozenset((0x01, *range(0xD0, 0xD8)))  # markers without a segment
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 
 
 def decode_raw(data: bytes, encoding: str, height: int, width: int, step: int) -> np.ndarray:
-    """Rows of step bytes, as in sensor_msgs/Image -> (height, width, 3) uint8 RGB.
+    """Decode the fields of a sensor_msgs/Image.
 
-    The array may share its memory with the data, and then cannot be written to. Raises ObservationError for another
-    encoding than ENCODINGS, and for bytes that are not what the numbers beside them say.
+    Args:
+        data: Rows of step bytes.
+        encoding: One of ENCODINGS.
+        height: Rows.
+        width: Columns.
+        step: Bytes per row.
+
+    Returns:
+        (height, width, 3) uint8 RGB; read-only if it shares memory with the data.
+
+    Raises:
+        ObservationError: The encoding is not supported, or the number of bytes is wrong.
     """
     layout = _LAYOUTS.get(encoding)
     if layout is None:
         raise ObservationError(
-            f"image encoding is {encoding[:40]!r}: it can be one of {', '.join(ENCODINGS)}; set it in the camera's "
-            "driver"
+            f"unsupported image encoding {encoding[:40]!r}: set one of {', '.join(ENCODINGS)} in the camera's driver"
         )
     _check_size(height, width)
     row = layout.bytes_per_pixel * width
@@ -70,10 +78,10 @@ def decode_raw(data: bytes, encoding: str, height: int, width: int, step: int) -
         raise ObservationError(
             f"image has {len(data)} bytes in rows of {step}: expected {height} rows of {row} bytes or more"
         )
-    if width % layout.pixels_together:
+    if width % layout.pixels_per_group:
         raise ObservationError(
-            f"image is {width} pixels wide: in the encoding {encoding} there is no odd number of them; set another "
-            "width in the camera's driver"
+            f"image is {width} pixels wide: encoding {encoding} requires an even number; set another width in the "
+            "camera's driver"
         )
     rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, :row]
     pixels = rows.reshape(height, width, layout.bytes_per_pixel)
@@ -81,13 +89,15 @@ def decode_raw(data: bytes, encoding: str, height: int, width: int, step: int) -
 
 
 def decode_compressed(data: bytes) -> np.ndarray:
-    """A JPEG or PNG file -> (H, W, 3) uint8 RGB, as it was stored: a note that it is to be turned is passed over.
+    """Decode a JPEG or PNG file to (H, W, 3) uint8 RGB. EXIF rotation is ignored.
 
-    Its size is read before it is decoded, so that a small file cannot ask for much memory. Raises ObservationError for
-    what is neither, too large, cut off or damaged.
+    The size is checked before decoding, so that a small file cannot allocate much memory.
+
+    Raises:
+        ObservationError: The format is not supported, or the image is too large, truncated or damaged.
     """
     if len(data) > LARGEST_DATA:
-        raise ObservationError(f"compressed image has {len(data)} bytes: at most {LARGEST_DATA} are taken")
+        raise ObservationError(f"compressed image has {len(data)} bytes: at most {LARGEST_DATA} are supported")
     try:
         height, width = encoded_size(data)
     except ValueError as error:
@@ -117,34 +127,37 @@ def encoded_size(data: bytes) -> Tuple[int, int]:
 
 
 class Framing(NamedTuple):
-    """What of a picture the model sees: the largest part in its middle that has the model's shape, scaled to its size.
+    """Central crop with the model's aspect ratio, scaled to the model's size. All values in pixels.
 
-    Sizes and offsets in pixels: of the picture, of the part that is kept, and of the image that comes out.
+    Attributes:
+        source: Height and width of the camera's image.
+        part: Height and width of the crop.
+        size: Height and width of the result.
     """
 
-    source: Tuple[int, int]  # height, width
+    source: Tuple[int, int]
     part: Tuple[int, int]
     size: Tuple[int, int]
 
     @classmethod
     def between(cls, source: Tuple[int, int], size: Tuple[int, int]) -> Framing:
-        """Framing of pictures of a size (height, width) for images of another one."""
+        """Return the framing of images of one size (height, width) for another."""
         scale = min(source[0] / size[0], source[1] / size[1])
         part = [max(1, min(have, round(scale * want))) for have, want in zip(source, size)]
         return cls(source, (part[0], part[1]), size)
 
     @property
     def offset(self) -> Tuple[int, int]:
-        """First row and column of the part that is kept."""
+        """First row and column of the crop."""
         return (self.source[0] - self.part[0]) // 2, (self.source[1] - self.part[1]) // 2
 
     @property
     def changes_nothing(self) -> bool:
-        """Whether pictures come out as they go in."""
+        """Whether images are unchanged."""
         return self.source == self.size
 
     def apply(self, picture: np.ndarray) -> np.ndarray:
-        """Picture (H, W, 3) uint8 of the source's size -> image (h, w, 3) uint8."""
+        """Crop and scale an image (H, W, 3) uint8 of the source size to (h, w, 3) uint8."""
         if self.changes_nothing:
             return picture
         (top, left), (rows, columns), (height, width) = self.offset, self.part, self.size
@@ -153,7 +166,7 @@ class Framing(NamedTuple):
         return cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
 
     def matrix(self) -> np.ndarray:
-        """(3, 3) pixels of the source (column, row, 1) to pixels of the image, pixel centres at whole numbers."""
+        """Return the (3, 3) map from source pixels (column, row, 1) to result pixels; pixel centres are integers."""
         (top, left), (rows, columns), (height, width) = self.offset, self.part, self.size
         across, down = width / columns, height / rows
         return np.array(
@@ -168,22 +181,19 @@ class Framing(NamedTuple):
 def _check_size(height: int, width: int) -> None:
     if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE and height * width <= LARGEST_AREA):
         raise ObservationError(
-            f"image is {width} x {height} pixels: give 1 to {LARGEST_SIDE} a side, and at most {LARGEST_AREA} in all; "
+            f"image is {width} x {height} pixels: at most {LARGEST_SIDE} per side and {LARGEST_AREA} in total; "
             "set it in the camera's driver"
         )
 
 
 def _jpeg_size(data: bytes) -> Tuple[int, int]:
-    """Height and width that a whole JPEG file says it has; ValueError tells why not.
-
-    Some cameras fill its end up with zeros.
-    """
+    """Return height and width of a complete JPEG file. Raises ValueError. Some cameras pad the end with zeros."""
     if data.rfind(_JPEG_END) < data.rfind(_JPEG_SCAN):  # neither marker occurs inside compressed data
         raise ValueError("its end is missing")
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
-        if marker == 0xFF:  # a byte that only fills
+        if marker == 0xFF:  # padding
             at += 1
         elif marker in _JPEG_ALONE:
             at += 2
@@ -192,11 +202,11 @@ def _jpeg_size(data: bytes) -> Tuple[int, int]:
             return height, width
         else:
             at += 2 + max(2, struct.unpack_from(">H", data, at + 2)[0])
-    raise ValueError("it does not say its size")
+    raise ValueError("its size is missing")
 
 
 def _png_size(data: bytes) -> Tuple[int, int]:
-    """Height and width of a PNG file whose parts are all there, with their checksums; ValueError tells why not."""
+    """Return height and width of a complete PNG file with correct checksums. Raises ValueError."""
     at, size, name = len(_PNG_START), (0, 0), b""
     while name != b"IEND":
         if at + 12 > len(data):
@@ -209,7 +219,7 @@ def _png_size(data: bytes) -> Tuple[int, int]:
             raise ValueError("a checksum in it is wrong")
         if at == len(_PNG_START):
             if name != b"IHDR" or length != 13:
-                raise ValueError("it does not say its size")
+                raise ValueError("its size is missing")
             width, height = struct.unpack_from(">II", data, at + 8)
             size = height, width
         at += 12 + length
@@ -217,4 +227,4 @@ def _png_size(data: bytes) -> Tuple[int, int]:
 
 
 _SIZE_OF = {_JPEG_START: _jpeg_size, _PNG_START: _png_size}
-_REMEDY = "look at cable and network, or take raw images"
+_REMEDY = "check cable and network, or use raw images"

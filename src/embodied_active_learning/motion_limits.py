@@ -1,7 +1,7 @@
-"""Which velocity an arm may have next: the limits of speed, acceleration and workspace, kept together.
+"""Limits of speed, acceleration and workspace, applied together to planar velocity commands.
 
-For whoever streams planar velocities to an arm, simulated or real, one call a period. Nothing is remembered here: the
-caller keeps the velocity that it commanded last. Every physics step comes through here, so numbers are plain floats.
+The arm nodes call it once per control period. It is stateless: the caller keeps the last commanded velocity. Plain
+floats are used because it runs in every physics step.
 """
 
 from __future__ import annotations
@@ -13,19 +13,18 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.workspace import STATE_NAMES
 
-# Braking is planned with this part of the acceleration. What is left holds the border when the arm strays from its
-# command by a little.
+# Braking is planned with this share of the acceleration; the rest compensates small deviations of the arm.
 _PLANNED_BRAKING = 0.9
-# A smaller part of the top speed than this is what an arm strays anyway, and no change that a user should hear of.
+# Share of the top speed below which a changed velocity is not reported.
 _NOTICEABLE = 0.01
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-6, 1.0  # s
 
 
 class LegalVelocity(NamedTuple):
-    """What an arm may do for a period: a velocity (3,) m/s, m/s, rad/s, and whether it was cut.
+    """The velocity of one period (3,) [m/s, m/s, rad/s], and whether it was cut.
 
-    Cut means that the speed limits or the workspace changed it noticeably, see MotionLimits.differ. That it takes some
-    time to reach a velocity is no cut.
+    It was cut if the speed limits or the workspace changed it noticeably, see MotionLimits.differ. A delay due to the
+    acceleration limit is not a cut.
     """
 
     velocity: Tuple[float, ...]
@@ -37,17 +36,16 @@ class _Axis(NamedTuple):
     upper: float
     top_speed: float  # per second
     acceleration: float  # per second squared
-    noticeable: float  # per second: the smallest change of speed to tell of
+    noticeable: float  # per second: smallest reported change of speed
 
 
 class MotionLimits:
-    """Turns wanted velocities into ones that an arm may have, whatever is wanted.
+    """Turns requested velocities into legal ones.
 
-    What comes out never differs from the previous velocity by more than the acceleration limit times the period, on any
-    axis. It is within the speed limits when the previous velocity is, and else brakes towards them. And an arm that
-    moves as commanded can always still brake inside the workspace, because no axis is ever faster than that: so
-    acceleration limit and workspace never contradict each other. From outside the workspace every axis leads back, no
-    faster than its speed limit, and comes to rest inside.
+    On each axis, the result differs from the previous velocity by at most the acceleration limit times the period. It
+    is within the speed limits if the previous velocity was, and otherwise brakes towards them. Speed is also limited
+    such that the arm can always brake inside the workspace, so that acceleration limit and workspace never contradict
+    each other. Outside the workspace each axis returns, within its speed limit, and comes to rest inside.
     """
 
     def __init__(
@@ -57,7 +55,7 @@ class MotionLimits:
         top_speeds: Sequence[float],
         accelerations: Sequence[float],
     ) -> None:
-        """Limits of x, y and theta, (3,) each: m, m, rad; their speeds per s, accelerations per s^2."""
+        """Create limits of x, y and theta. Args: (3,) each in m, m, rad; speeds per s; accelerations per s^2."""
         self._axes = [
             _Axis(float(low), float(high), float(speed), float(acceleration), _NOTICEABLE * float(speed))
             for low, high, speed, acceleration in zip(lower, upper, top_speeds, accelerations)
@@ -65,7 +63,7 @@ class MotionLimits:
 
     @classmethod
     def from_config(cls, config: Config, margin: float = 0.0) -> MotionLimits:
-        """The limits of arm/ and workspace/, the workspace smaller by a margin (normalised units) on every side."""
+        """Create the limits of a configuration. margin: reduces the workspace on each side, normalised units."""
         box = config.workspace.box()
         arm = config.arm
         return cls(
@@ -77,26 +75,26 @@ class MotionLimits:
 
     @property
     def lower(self) -> Tuple[float, ...]:
-        """(3,) m, m, rad."""
+        """Limits of the workspace. (3,) [m, m, rad]."""
         return tuple(axis.lower for axis in self._axes)
 
     @property
     def upper(self) -> Tuple[float, ...]:
-        """(3,) m, m, rad."""
+        """Limits of the workspace. (3,) [m, m, rad]."""
         return tuple(axis.upper for axis in self._axes)
 
     def within(self, lower: Sequence[float], upper: Sequence[float]) -> MotionLimits:
-        """The same limits of speed and acceleration in another box, (3,) m, m, rad each."""
+        """Return the same limits of speed and acceleration in another box, (3,) [m, m, rad] each."""
         limits = MotionLimits.__new__(MotionLimits)
         limits._axes = [axis._replace(lower=low, upper=high) for axis, low, high in zip(self._axes, lower, upper)]
         return limits
 
     def slowed(self, velocity: Sequence[float]) -> List[float]:
-        """A velocity (3,) of finite numbers in its own direction, at the highest legal speed at most."""
+        """Scale a finite velocity (3,) down to the speed limits, keeping its direction."""
         largest = max(map(abs, velocity))
         if largest == 0.0:
             return list(velocity)
-        # By its largest number first: an absurd velocity must not overflow to infinity, and so to no direction.
+        # Divide by the largest component first, so that huge velocities do not overflow.
         excess = max(abs(speed / largest) / axis.top_speed for speed, axis in zip(velocity, self._axes))
         if largest * excess <= 1.0:
             return list(velocity)
@@ -105,14 +103,18 @@ class MotionLimits:
     def next_velocity(
         self, pose: Sequence[float], previous: Sequence[float], wanted: Sequence[float], period: float
     ) -> LegalVelocity:
-        """The legal velocity closest to the wanted one, to be held for a period, s.
+        """Return the legal velocity closest to the requested one for the next period.
 
-        pose (3,) m, m, rad is where the arm is as the period begins. Where the robot tells the pose that it was
-        commanded to, give that one: close to the border, the noise of a measured pose becomes velocity. previous is
-        the velocity that was commanded for the period before, wanted the one that is asked for, (3,) m/s, m/s, rad/s.
+        Args:
+            pose: (3,) pose at the beginning of the period [m, m, rad]; preferably the commanded one, because close to
+                the border the noise of a measured pose becomes velocity.
+            previous: (3,) velocity commanded for the previous period [m/s, m/s, rad/s].
+            wanted: (3,) requested velocity.
+            period: Duration [s].
 
-        Raises CommandError for numbers that are not finite, and for a period outside 1e-6 to 1 s: of those no velocity
-        can be called legal, and the caller must bring the arm to rest by other means.
+        Raises:
+            CommandError: A number is not finite, or the period is outside 1e-6 to 1 s. The caller must then stop the
+                arm by other means.
         """
         _check(pose, previous, wanted, period)
         slowed = self.slowed(wanted)
@@ -131,9 +133,14 @@ class MotionLimits:
         return LegalVelocity(tuple(legal), cut)
 
     def approach(self, pose: Sequence[float], target: Sequence[float], period: float) -> List[float]:
-        """The velocity (3,) to want for a period, s, at a pose (3,) in order to go straight to a target (3,), and stop.
+        """Return the velocity (3,) to request for the next period in order to go straight to a target and stop there.
 
-        As fast as the limits allow; an arm that follows it from rest does not overshoot.
+        It is as fast as the limits allow; an arm that follows it from rest does not overshoot.
+
+        Args:
+            pose: (3,) [m, m, rad].
+            target: (3,) [m, m, rad].
+            period: Duration [s].
         """
         gaps = [goal - at for goal, at in zip(target, pose)]
         shares = [
@@ -143,15 +150,15 @@ class MotionLimits:
         return [_between(share * gap, axis.top_speed) for gap, axis in zip(gaps, self._axes)]
 
     def differ(self, one: Sequence[float], other: Sequence[float]) -> bool:
-        """Whether two velocities (3,) differ by more than a hundredth of the top speed on any axis."""
+        """Return whether two velocities (3,) differ by more than 1 % of the top speed on any axis."""
         return any(abs(a - b) > axis.noticeable for a, b, axis in zip(one, other, self._axes))
 
     def braking_time(self, velocity: Sequence[float]) -> float:
-        """Seconds that it takes to come to rest from a velocity (3,)."""
+        """Return the time to brake from a velocity (3,) [s]."""
         return max(abs(speed) / axis.acceleration for speed, axis in zip(velocity, self._axes))
 
     def travel_time(self, pose: Sequence[float], target: Sequence[float]) -> float:
-        """Seconds, at most, that it takes to go from rest at a pose (3,) to rest at a target (3,)."""
+        """Return an upper bound of the time from rest at a pose (3,) to rest at a target (3,) [s]."""
         return max(
             abs(goal - at) / axis.top_speed + axis.top_speed / (_PLANNED_BRAKING * axis.acceleration)
             for goal, at, axis in zip(target, pose, self._axes)
@@ -163,12 +170,12 @@ def _between(value: float, limit: float) -> float:
 
 
 def _speed_to_stop_in(room: float, axis: _Axis, period: float) -> float:
-    """The highest legal speed, for one period, after which an axis can still stop within the room (m or rad).
+    """Return the highest speed for one period after which an axis can still stop within the remaining room [m or rad].
 
-    Negative where the room is: then the axis is outside, and has to come back by as much.
+    Both are negative outside the workspace, where the axis has to return.
 
-    Braking goes in steps, each period at a speed lower by b = braking * period. With u the speed of the first period
-    and n = floor(u / b), it takes the distance period * ((n + 1) u - b n (n + 1) / 2), which is inverted here.
+    Braking reduces the speed by b = braking * period in each period. With u the speed of the first period and
+    n = floor(u / b), it takes the distance period * ((n + 1) u - b n (n + 1) / 2), which is inverted here.
     """
     distance, top = abs(room), axis.top_speed
     braking = _PLANNED_BRAKING * axis.acceleration
@@ -188,6 +195,6 @@ def _check(pose: Sequence[float], previous: Sequence[float], wanted: Sequence[fl
         except (TypeError, OverflowError):
             usable = False
         if not usable:
-            raise CommandError(f"{name} {values!r} is refused: give {axes} finite numbers")
+            raise CommandError(f"invalid {name} {values!r}: expected {axes} finite numbers")
     if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
-        raise CommandError(f"period {period} s is refused: give {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s")
+        raise CommandError(f"invalid period {period} s: expected {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s")

@@ -1,4 +1,4 @@
-"""Random generators: one seed for a run, and a stream of its own for each purpose, so that none disturbs another."""
+"""Random generators: one seed per run, and an independent stream per purpose."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """What the random numbers are for."""
+    """Purpose of a random stream."""
 
     SAMPLES = 101
     EXPLORER = 102
@@ -19,24 +19,24 @@ class Stream(IntEnum):
 
 
 def resumed_seed(seed: int, visited: int) -> int:
-    """The seed of a run that goes on after so many observations: its own, so that it does not repeat its draws."""
+    """Return the seed of a run that resumes after a number of observations; it differs, to not repeat earlier draws."""
     return int(np.random.SeedSequence([seed, visited]).generate_state(1)[0]) if visited else seed
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:
-    """The generator of one stream of a run's seed."""
+    """Return the generator of a stream."""
     return np.random.default_rng(np.random.SeedSequence([seed, int(stream)]))
 
 
 def generator_state(random: np.random.Generator) -> np.ndarray:
-    """(6,) uint64: everything that decides what a generator will draw."""
+    """Return the complete state of a generator as (6,) uint64."""
     state = random.bit_generator.state
     words = [*_halves(state["state"]["state"]), *_halves(state["state"]["inc"]), state["has_uint32"], state["uinteger"]]
     return np.array(words, dtype=np.uint64)
 
 
 def set_generator_state(random: np.random.Generator, words: np.ndarray) -> None:
-    """Let a generator draw what the one drew whose words (6,) these are."""
+    """Set the state of a generator. words: (6,) result of generator_state."""
     high, low, inc_high, inc_low, has_uint32, uinteger = map(int, words)
     state = random.bit_generator.state
     state["state"] = {"state": high << 64 | low, "inc": inc_high << 64 | inc_low}
@@ -45,5 +45,5 @@ def set_generator_state(random: np.random.Generator, words: np.ndarray) -> None:
 
 
 def _halves(number: int) -> Tuple[int, int]:
-    """A number of 128 bits as two of 64, the higher one first."""
+    """Split a 128-bit number into two of 64 bits, the higher one first."""
     return number >> 64, number & (2**64 - 1)

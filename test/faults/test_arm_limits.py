@@ -121,7 +121,7 @@ def send(arm, command, *arguments):
     except CommandError as error:
         rejection = str(error)
     if rejection is not None:
-        assert "is refused" in rejection
+        assert "invalid " in rejection
         np.testing.assert_array_equal(state_of(arm), before)
 
 

@@ -91,7 +91,7 @@ def test_an_unknown_name_is_answered_with_those_there_are(root):
 
 
 def test_no_session_and_too_many_are_refused(root):
-    with pytest.raises(SessionError, match="name one at least"):
+    with pytest.raises(SessionError, match="no sessions given"):
         read_sets(root, [])
     with pytest.raises(SessionError, match=f"{MOST_SESSIONS + 1} sessions were named: name {MOST_SESSIONS} at most"):
         read_sets(root, [f"s{number}" for number in range(MOST_SESSIONS + 1)])
@@ -136,7 +136,7 @@ def test_results_are_replaced_only_when_that_is_asked_for(root):
     found = [load_fingerprints(root / NAME)]
     decisions = root / NAME / "identification" / "first" / "decisions.yaml"
     before = decisions.read_bytes()
-    with pytest.raises(SessionError, match=r"there are results in .*/first: choose another name, or ask for overwrite"):
+    with pytest.raises(SessionError, match=r"results exist in .*/first: choose another name, or set overwrite"):
         IdentificationRun(root / NAME, found, "first", 0, config.identification)
     assert decisions.read_bytes() == before
     run = IdentificationRun(root / NAME, found, "first", 0, config.identification, overwrite=True)

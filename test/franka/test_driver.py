@@ -162,7 +162,7 @@ def test_velocity_above_limits_is_reduced_and_reported():
 
 @pytest.mark.parametrize(
     ("velocity", "duration", "complaint"),
-    [((math.nan, 0.0, 0.0), 0.2, "velocity .* is refused"), ((0.1, 0.0, 0.0), 60.0, "duration 60.0 s is refused")],
+    [((math.nan, 0.0, 0.0), 0.2, "invalid velocity"), ((0.1, 0.0, 0.0), 60.0, "invalid duration 60.0 s")],
 )
 def test_invalid_move_is_rejected(velocity, duration, complaint):
     lab = Lab()

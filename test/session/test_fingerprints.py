@@ -372,7 +372,7 @@ def test_file_larger_than_is_ever_loaded_is_not_saved(session, monkeypatch):
     for kind, remedy in (("", "fewer fingerprints"), ("_MODEL", "smaller model"), ("_FINGERPRINT", "fewer views")):
         with monkeypatch.context() as patched:
             patched.setattr(fingerprints, f"{kind}_READER", replace(fingerprints._READER, limit=10))
-            with pytest.raises(SessionError, match=rf"bytes, and 10 are allowed: .*{remedy}"):
+            with pytest.raises(SessionError, match=rf"bytes, at most 10 are allowed: .*{remedy}"):
                 save_fingerprints(session, numbered(2))
     assert number_of(load_fingerprints(session)) == 1
 
@@ -381,7 +381,7 @@ def test_file_larger_than_is_ever_loaded_is_not_saved(session, monkeypatch):
 def test_file_that_is_too_large_is_refused_unread(session, name, size):
     path = save_fingerprints(session, make_set()) / name
     os.truncate(path, size + 1)
-    with pytest.raises(CorruptFileError, match=rf"{name} has {size + 1} bytes, and {size} are allowed"):
+    with pytest.raises(CorruptFileError, match=rf"{name} has {size + 1} bytes, at most {size} are allowed"):
         load_fingerprints(session)
 
 
@@ -480,7 +480,7 @@ def test_yaml_that_wants_to_run_something_is_refused_and_never_run(session):
     call = f"!!python/object/apply:os.mkdir [{canary}]"
     for text in (call, path.read_text().replace("updates: 9000", f"updates: {call}")):
         path.write_text(text)
-        with pytest.raises(CorruptFileError, match=r"set.yaml is not plain YAML .* tag .* is not understood"):
+        with pytest.raises(CorruptFileError, match=r"set.yaml is not plain YAML .* tag .* is not supported"):
             load_fingerprints(session)
     assert not canary.exists()
 

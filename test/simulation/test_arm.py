@@ -144,7 +144,7 @@ def test_too_fast_move_keeps_direction(arm):
 def test_invalid_move_is_rejected(arm, velocity, duration):
     arm.move((0.05, 0.0, 0.3), 0.1)
     pose, speed, time = arm.pose, arm.velocity, arm.time
-    with pytest.raises(CommandError, match="is refused"):
+    with pytest.raises(CommandError, match=r"^invalid "):
         arm.move(velocity, duration)
     np.testing.assert_array_equal(arm.pose, pose)
     np.testing.assert_array_equal(arm.velocity, speed)
@@ -154,7 +154,7 @@ def test_invalid_move_is_rejected(arm, velocity, duration):
 @pytest.mark.parametrize("pose", [(0.7, 0, 0), (0.475, 0, 2.1), (math.nan, 0, 0), (0.475, 0)])
 def test_invalid_pose_is_rejected(arm, pose):
     before = arm.pose
-    with pytest.raises(CommandError, match="is refused"):
+    with pytest.raises(CommandError, match=r"^invalid "):
         arm.go_to(pose)
     np.testing.assert_array_equal(arm.pose, before)
     assert arm.time == 0.0

@@ -104,7 +104,7 @@ def test_kind_and_pybullet_address_are_used(load):
         (f"objects: {{a: {DUCK.replace('0.4', '.inf')}}}", "objects/a/position is inf"),
         (f"objects: {{a: {DUCK.replace('0.4', '1.4')}}}", "objects/a at .* does not stand on the table"),
         (f"objects: {{a: {DUCK.replace('0.4, 0.0', '0.4')}}}", "objects/a/position has 1 numbers: expected 2"),
-        (f"objects: {{a: {DUCK}, a: {DUCK}}}", "'a' stands twice"),
+        (f"objects: {{a: {DUCK}, a: {DUCK}}}", "duplicate key 'a'"),
         (f"objects: {{a: {DUCK[:-1]}, scale: 0}}}}", "objects/a/scale is 0: expected a number from 1e-06"),
         (f"objects: {{a: {DUCK[:-1]}, height: -0.1}}}}", "objects/a/height"),
         (f"objects: {{a: {DUCK[:-1]}, colour: [1, 2, 0]}}}}", "objects/a/colour is 2: expected a number from 0 to 1"),

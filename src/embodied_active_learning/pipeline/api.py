@@ -38,13 +38,13 @@ def load_config(profile: str = "", **overrides: Any) -> Config:
     Raises:
         ConfigError: Unknown or ambiguous key, or invalid value.
         WorldError: The world cannot be built.
-        SessionError: The session exists, or does not exist and is to be resumed.
+        SessionError: The session exists, or cannot be resumed.
     """
     return resolve_changes(profile, _sections(overrides))
 
 
 def load_session(session: SessionLike) -> Session:
-    """Open a session for reading, also while it is running. Raises SessionError if there is none."""
+    """Open a session for reading, also while it is running. Raises SessionError if it does not exist."""
     if isinstance(session, Session):
         return session
     if isinstance(session, str) and os.sep not in session:

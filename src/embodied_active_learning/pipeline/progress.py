@@ -1,4 +1,4 @@
-"""One line that says how far a run is, and an honest guess of how long it will take."""
+"""A progress line with an estimate of the remaining time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Callable, Deque, Tuple
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is. Values that are not known yet are NaN."""
+    """Progress of a run. Unknown values are NaN."""
 
     step: int
     steps: int
@@ -24,21 +24,21 @@ class Progress:
 
     @property
     def share(self) -> float:
-        """Part of the work that is done, 0 to 1: updates, for they take nearly all the time, and steps before them."""
+        """Completed share of the work, 0 to 1, in updates and steps; updates take most of the time."""
         if self.updates_planned == 0:
             return self.step / self.steps
         return (self.updates + self.step) / (self.updates_planned + self.steps)
 
 
 class ProgressLine:
-    """Words for progress, with the time left as the last minutes suggest it."""
+    """Formats progress, with the remaining time estimated from the last minutes."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, window: int = 24) -> None:
         self._clock = clock
         self._recent: Deque[Tuple[float, float]] = deque(maxlen=window)
 
     def describe(self, progress: Progress) -> str:
-        """The line for this moment."""
+        """Return the line for the current progress."""
         self._recent.append((self._clock(), progress.share))
         parts = [
             f"step {progress.step}/{progress.steps}",
@@ -58,7 +58,7 @@ class ProgressLine:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as minutes:seconds, or a dash when nobody knows."""
+    """Format seconds as minutes:seconds, or a dash if they are unknown."""
     if not math.isfinite(seconds):
         return "-"
     whole = round(seconds)

@@ -69,7 +69,7 @@ def save_checkpoint(
     path = folder / f"checkpoint_{updates:09d}.safetensors"
     write_tensors(path, "checkpoint", tensors, {"updates": updates, "counters": counters})
     stored = _newest_first(folder)
-    # Checkpoints of more updates remain from before a rollback.
+    # Checkpoints of more updates were written before a rollback.
     kept = stored[stored.index(path) :][:keep]
     for other in stored:
         if other not in kept:
@@ -79,7 +79,7 @@ def save_checkpoint(
 
 
 def load_latest(folder: Path) -> Optional[Checkpoint]:
-    """Return the newest intact checkpoint; None if there are none.
+    """Return the newest intact checkpoint; None without checkpoints.
 
     Raises:
         CorruptFileError: All checkpoints are damaged.

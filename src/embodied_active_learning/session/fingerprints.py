@@ -101,7 +101,7 @@ def load_fingerprints(session_path: Path) -> FingerprintSet:
     """Read the newest set of a session, with the session's configuration.
 
     Raises:
-        SessionError: There is none yet.
+        SessionError: The session has no fingerprints yet.
         CorruptFileError: It is damaged, or a link out of the session; names the file and the field.
     """
     session_path = Path(session_path)

@@ -115,7 +115,7 @@ def load_identification(session_path: Path, name: str) -> StoredIdentification:
     """Read the decisions of a complete identification.
 
     Raises:
-        SessionError: There is none of that name.
+        SessionError: No identification has that name.
         CorruptFileError: It is damaged or of a newer version.
     """
     path = identification_folder(session_path, name) / DECISIONS_FILE

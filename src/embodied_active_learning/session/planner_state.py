@@ -48,7 +48,7 @@ def save_planner_state(path: Path, planner: PlannerState) -> None:
 
 
 def load_planner_state(path: Path) -> Optional[PlannerState]:
-    """Return the stored state; None if there is none. Raises CorruptFileError naming file and field."""
+    """Return the stored state; None before the first observation. Raises CorruptFileError naming file and field."""
     if not os.path.lexists(path):
         return None
     arrays, stored = read_arrays(path, _KIND, _READER)
