@@ -43,7 +43,7 @@ def wrap(angles: np.ndarray) -> np.ndarray:
 
 
 def intrinsics(width: int, height: int, field_of_view: float) -> np.ndarray:
-    """Return the camera matrix K (3, 3) of square pixels and a central principal point. field_of_view: vertical, deg."""
+    """Return a camera matrix K (3, 3) of square pixels and central principal point. field_of_view: vertical, deg."""
     focal = height / (2.0 * math.tan(math.radians(field_of_view) / 2.0))
     return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
 
