@@ -6,10 +6,13 @@ from pathlib import Path
 from typing import List, Sequence
 
 from embodied_active_learning.figures.belief_maps import BeliefPanel, draw_beliefs
+from embodied_active_learning.figures.evidence import Evidence, draw_evidence
 from embodied_active_learning.figures.measurement_trace import Trace, draw_trace
 from embodied_active_learning.figures.top_view import compose_top_view
 from embodied_active_learning.objects.decision import Decision, decisions_about
+from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.report import UNKNOWN, Truth
+from embodied_active_learning.objects.scene_views import SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.pipeline.identification import IdentificationRun
 
@@ -20,7 +23,7 @@ MOST_TRACES = 12
 def draw_identification(
     run: IdentificationRun, decisions: Sequence[Decision], truth: Truth = UNKNOWN, pdf: bool = False
 ) -> List[Path]:
-    """Draw the belief maps into figures/ of the session with the images, and a trace per fingerprint into the results.
+    """Draw the belief maps into figures/ of the session with the images, and evidence and traces into the results.
 
     Returns:
         The paths of the figures.
@@ -29,6 +32,11 @@ def draw_identification(
     view = compose_top_view(run.pictures, run.states, run.config.camera, workspace)
     panels = [_panel(target, decisions) for target in run.identification.targets]
     paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth, pdf)]
+    targets = [target for target in run.identification.targets if target.fingerprint.kind == OBJECT]
+    evidence = [_evidence(target, decisions) for target in targets[:MOST_TRACES]]
+    if run.identification.by_views and evidence:
+        views = SceneViews(run.states, run.pictures, run.config.camera)
+        paths.append(draw_evidence(run.folder / "evidence.png", evidence, views, pdf))
     for target in run.identification.targets[:MOST_TRACES]:
         own = decisions_about(decisions, target.session, target.fingerprint.name)
         path = run.folder / f"trace-{target.session}-{target.fingerprint.name}.png"
@@ -36,6 +44,12 @@ def draw_identification(
         trace = Trace(target.label, *measured, target.fingerprint, target.threshold, own, truth)
         paths.append(draw_trace(path, trace, pdf))
     return paths
+
+
+def _evidence(target: SearchTarget, decisions: Sequence[Decision]) -> Evidence:
+    """The best decision about an object."""
+    own = decisions_about(decisions, target.session, target.fingerprint.name)
+    return Evidence(target.label, target.appearance, own[0])
 
 
 def _panel(target: SearchTarget, decisions: Sequence[Decision]) -> BeliefPanel:

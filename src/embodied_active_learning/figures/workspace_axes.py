@@ -136,7 +136,7 @@ def marker_style(found: bool = True, is_false: bool = False) -> Dict[str, Any]:
 def add_marker_legend(figure: Figure, with_truth: bool, down: float = 0.0) -> None:
     """Add a legend of the markers, `down` inches below the top of the figure."""
     handles = [
-        Line2D([], [], label="found: number, share of views that agree, tick towards yaw", **marker_style()),
+        Line2D([], [], label="found: number, confidence, tick towards yaw", **marker_style()),
         Line2D([], [], label="not found: best candidate", **marker_style(found=False)),
     ]
     if with_truth:

@@ -115,6 +115,11 @@ class Appearance:
         """Return the pose (3,) of the object's visible middle if its fingerprint's centre is at a pose (3,)."""
         return np.array([*place(self.middle[None], pose[None])[0, 0], pose[2]])
 
+    def centre_at(self, middle: np.ndarray) -> np.ndarray:
+        """Return the pose (3,) of the fingerprint's centre if the object's visible middle is at a pose (3,)."""
+        turn = np.array([[0.0, 0.0, middle[2]]])
+        return np.array([*(middle[:2] - place(self.middle[None], turn)[0, 0]), middle[2]])
+
     @property
     def central_view(self) -> int:
         """The usable view from most directly above."""

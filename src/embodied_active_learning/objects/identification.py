@@ -64,6 +64,11 @@ class Identification:
         """Every fingerprint that is searched for, grouped by session."""
         return [target for _, group in self._groups for target in group]
 
+    @property
+    def by_views(self) -> bool:
+        """Whether decisions are made by comparing views, not by the belief alone."""
+        return self._settings.decision == "verified"
+
     def reset(self) -> None:
         """Forget the stream, to search another scene. What was learned about the fingerprints is kept."""
         self._weights = EvidenceWeights(self._settings)

@@ -1,0 +1,121 @@
+"""Object pixels of a fingerprint's views, their similarity elsewhere, and the limits that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.figures.evidence import Evidence, draw_evidence
+from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
+from embodied_active_learning.objects.calibration import Calibration, calibrate
+from embodied_active_learning.objects.colours import colour_distance, colour_features
+from embodied_active_learning.objects.decision import FOUND, Decision
+from embodied_active_learning.objects.pose_search import propose, refine
+from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
+from embodied_active_learning.objects.similarity import similarity, stored_views
+from painted_table import Thing, learn, paint, random_states
+
+SETTINGS = IdentificationConfig(trials=19)
+RED, BLUE = Thing(0, (0.40, -0.07, 0.6)), Thing(1, (0.54, 0.06, -1.0))
+LEARNED = learn((RED, BLUE), (0.36, 0.12))
+CAMERA, WORKSPACE = LEARNED.config.camera, LEARNED.config.workspace.box()
+PLACE = (0.50, -0.03, 1.1)
+
+
+@pytest.fixture(scope="module")
+def appearance():
+    return Appearance(LEARNED.fingerprints[0], LEARNED.fingerprints, CAMERA)
+
+
+@pytest.fixture(scope="module")
+def views():
+    """Views of the red thing at another place, and of the blue one."""
+    states = np.concatenate([random_states(WORKSPACE, 150, seed=3), np.add(PLACE, np.zeros((5, 3)))])
+    things = (RED._replace(pose=PLACE), BLUE._replace(pose=(0.38, 0.09, 0.3)))
+    return SceneViews(states, paint(states, things, CAMERA), CAMERA)
+
+
+def test_appearance_has_area_and_middle_of_painted_disc(appearance):
+    assert appearance.problem == ""
+    assert appearance.usable.all()
+    assert appearance.area == pytest.approx(np.pi * RED.radius**2, rel=0.15)
+    np.testing.assert_allclose(appearance.middle, 0.0, atol=0.002)
+
+
+def test_middle_and_centre_are_inverse(appearance):
+    shifted = appearance.middle_at(np.array(PLACE))
+    np.testing.assert_allclose(appearance.centre_at(shifted), PLACE, atol=1e-6)
+
+
+def test_object_points_are_placed_by_pose():
+    points = np.array([[0.02, 0.0], [0.0, 0.01]], np.float32)
+    placed = place(points, np.array([[0.5, 0.1, np.pi / 2]]))
+    np.testing.assert_allclose(placed, [[[0.5, 0.12], [0.49, 0.1]]], atol=1e-6)
+    np.testing.assert_allclose(relative_positions(placed[0], np.array([0.5, 0.1, np.pi / 2])), points, atol=1e-6)
+
+
+def test_brightness_changes_only_luminance_feature():
+    colours = np.array([[200, 100, 40], [90, 180, 60]], np.uint8)
+    change = colour_features(colours // 2) - colour_features(colours)
+    assert np.all(change[:, 0] < -0.6)
+    assert np.all(colour_distance(change[:, 1:]) < 0.05**2 + 0.01)
+
+
+def test_similarity_is_high_at_object_and_low_elsewhere(appearance, views):
+    poses = np.array([PLACE, (0.58, 0.08, 0.0), (0.38, 0.09, 0.3)])
+    values = []
+    for pose in poses:
+        chosen = views.nearest(pose[:2], 5, 0.06)
+        values.append(
+            similarity(appearance, views, chosen, stored_views(appearance, views, chosen, pose), pose[None])[0]
+        )
+    assert values[0] > 0.5
+    assert max(values[1:]) < 0.2
+
+
+def test_similarity_without_object_in_view_is_lowest(appearance, views):
+    far = np.array([[2.0, 2.0, 0.0]])
+    assert similarity(appearance, views, [0, 1], [0, 0], far)[0] == -1.0
+
+
+def test_search_finds_pose_without_model(appearance, views):
+    mosaic = Mosaic(views, WORKSPACE, 0.02)
+    assert mosaic.coverage > 0.95
+    found = [refine(appearance, views, starts, SETTINGS) for starts in propose(mosaic, appearance, 4).places]
+    best = max(found, key=lambda item: item.similarity)
+    distance, turn = pose_distance(best.pose, np.array(PLACE))
+    assert distance < 0.005
+    assert turn < 0.3
+
+
+def test_true_views_exceed_most_look_alikes(appearance):
+    limits = calibrate(appearance, SETTINGS)
+    assert np.median(limits.true) > np.quantile(limits.false, 0.75)
+    np.testing.assert_array_equal(limits.true, calibrate(appearance, SETTINGS).true)
+
+
+@pytest.mark.parametrize(
+    ("error_rate", "miss", "look_alike"), [(0.05, 0.0, 19.0), (0.25, 4.0, 15.0), (0.04, -1.0, 1.0)]
+)
+def test_limits_are_conformal_quantiles(error_rate, miss, look_alike):
+    """With 19 similarities, a rate of 0.05 takes the extreme one, and a smaller rate cannot be guaranteed."""
+    limits = Calibration(np.arange(19.0), np.arange(1.0, 20.0), error_rate)
+    assert (limits.miss_limit, limits.look_alike_limit) == (miss, look_alike)
+    assert limits.found_limit == max(miss, look_alike)
+    assert limits.confidence(10.0) == 9 / 20
+
+
+def test_object_of_table_colour_has_problem_with_remedy():
+    bare = replace(LEARNED.fingerprints[2], kind="object", name="object-3")
+    found = Appearance(bare, (*LEARNED.fingerprints, bare), CAMERA)
+    assert found.problem.startswith("no object distinct from the table")
+
+
+def test_evidence_figure_is_written(appearance, views, tmp_path):
+    decision = Decision("a", "object-1", "object", FOUND, 1, np.array(PLACE), 0.9, 0.05, 0.3, 5, 0.5, 0.1, "similarity")
+    path = draw_evidence(tmp_path / "evidence.png", [Evidence("a/object-1", appearance, decision)], views)
+    assert path.stat().st_size > 10_000
