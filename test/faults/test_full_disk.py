@@ -107,7 +107,7 @@ def refusal_of(write, session):
 
 @pytest.mark.parametrize("leave", [0, 4096])
 @pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
-def test_what_does_not_fit_is_refused_and_what_was_there_is_kept(small_disk, sample, write, leave):
+def test_full_disk_keeps_previous_files(small_disk, sample, write, leave):
     session, before = Session.open_read_only(sample), contents(sample)
     small_disk.fill(leave)
     refusal = refusal_of(write, session)
@@ -120,7 +120,7 @@ def test_what_does_not_fit_is_refused_and_what_was_there_is_kept(small_disk, sam
     write(session)
 
 
-def test_observations_and_rows_before_and_after_a_full_disk_are_all_there(small_disk):
+def test_observations_and_rows_survive_full_disk(small_disk):
     config = configuration(small_disk.folder)
     with ExitStack() as held:
         session = held.enter_context(Session.open_for_writing(config))
@@ -159,7 +159,7 @@ def count_until_refused(append, message):
     raise AssertionError("the disk was not full")
 
 
-def test_a_training_run_that_has_filled_the_disk_ends_with_the_reason_and_goes_on_when_there_is_space(small_disk):
+def test_training_resumes_after_full_disk(small_disk):
     config = configuration(small_disk.folder)
     config = replace(
         config,
@@ -197,7 +197,7 @@ def contents_of_table(small_disk, name):
     return Session.open_read_only(small_disk.folder / NAME).read_table(name)["update"].tolist()
 
 
-def test_a_new_session_on_a_full_disk_is_refused_and_leaves_nothing_behind(small_disk):
+def test_new_session_on_full_disk_is_rejected(small_disk):
     small_disk.fill()
     for attempt in (check_session, Session.open_for_writing):
         with pytest.raises(SessionError, match=r"needs about .* but 0.0 GB are free: free disk space"):
@@ -205,7 +205,7 @@ def test_a_new_session_on_a_full_disk_is_refused_and_leaves_nothing_behind(small
     assert [entry.name for entry in small_disk.folder.iterdir()] == ["filler"]
 
 
-def test_a_session_that_finds_the_disk_full_while_it_is_created_can_be_created_later(small_disk, monkeypatch):
+def test_session_creation_can_be_retried_after_full_disk(small_disk, monkeypatch):
     monkeypatch.setattr(disk_module, "free_bytes", lambda path: 10**12)
     small_disk.fill()
     with pytest.raises(SessionError, match="No space left on device"):
@@ -215,7 +215,7 @@ def test_a_session_that_finds_the_disk_full_while_it_is_created_can_be_created_l
     assert leftovers(small_disk.folder) == []
 
 
-def test_when_there_are_no_more_files_to_be_had_what_is_there_is_kept(small_disk, sample):
+def test_exhausted_inodes_keep_previous_files(small_disk, sample):
     session, before = Session.open_read_only(sample), contents(sample)
     with contextlib.suppress(OSError):
         for number in range(1000):
@@ -228,7 +228,7 @@ def test_when_there_are_no_more_files_to_be_had_what_is_there_is_kept(small_disk
 
 
 @pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
-def test_nothing_is_changed_on_a_disk_that_is_read_only(small_disk, sample, write):
+def test_read_only_disk_is_unchanged(small_disk, sample, write):
     session, before = Session.open_read_only(sample), contents(sample)
     small_disk.set_writable(False)
     with pytest.raises(SessionError, match="Read-only file system"):
@@ -236,7 +236,7 @@ def test_nothing_is_changed_on_a_disk_that_is_read_only(small_disk, sample, writ
     assert contents(sample) == before
 
 
-def test_a_run_on_a_read_only_disk_is_refused_with_the_reason_before_anything(small_disk, sample):
+def test_run_on_read_only_disk_is_rejected(small_disk, sample):
     small_disk.set_writable(False)
     folder = small_disk.folder
     for config in (
@@ -250,7 +250,7 @@ def test_a_run_on_a_read_only_disk_is_refused_with_the_reason_before_anything(sm
     assert read_summary(sample / "summary.yaml").finished
 
 
-def test_files_that_grow_are_refused_by_name_on_a_disk_that_has_become_read_only(small_disk, sample):
+def test_growing_files_on_read_only_disk_are_named(small_disk, sample):
     session, before = Session.open_read_only(sample), contents(sample)
     box = session.config.workspace.box()
     small_disk.set_writable(False)
@@ -264,13 +264,13 @@ def test_files_that_grow_are_refused_by_name_on_a_disk_that_has_become_read_only
     assert contents(sample) == before
 
 
-def test_free_space_is_told_where_a_folder_is_or_will_be(small_disk):
+def test_free_space_of_missing_folder_is_known(small_disk):
     assert free_bytes(small_disk.folder / "not" / "yet") == free_bytes(small_disk.folder) > 500_000
     small_disk.fill()
     assert free_bytes(small_disk.folder) == 0
 
 
-def test_a_fingerprint_set_and_an_identification_load_from_a_full_disk(small_disk, sample):
+def test_results_load_from_full_disk(small_disk, sample):
     small_disk.fill()
     assert load_fingerprints(sample).fingerprints
     assert load_identification(sample, "first").decisions
@@ -283,7 +283,7 @@ def record(bag, messages):
 
 
 @pytest.mark.parametrize("small_disk", [3000], indirect=True)  # kB, some of the chunks in which rosbag writes
-def test_what_was_recorded_before_the_disk_was_full_can_be_saved_by_rosbag(small_disk, tmp_path):
+def test_bag_of_full_disk_is_recoverable(small_disk, tmp_path):
     bag = BagWriter(small_disk.folder / "run.bag")
     with pytest.raises(BagError, match=r"cannot write .*run\.bag\.active: No space left"):
         record(bag, 1000)

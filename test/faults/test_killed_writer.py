@@ -107,7 +107,7 @@ def writers(forked, tmp_path):
     return forked
 
 
-def test_everything_that_was_acknowledged_is_whole_after_kill_9_at_any_moment(tmp_path, writers):
+def test_acknowledged_data_survives_sigkill(tmp_path, writers):
     moments = random.Random(5)
     for _ in range(ROUNDS):
         writers.live(moments.randrange(MOST_FILES), moments.uniform(0.0, LONGEST_LEAVE))
@@ -118,7 +118,7 @@ def test_everything_that_was_acknowledged_is_whole_after_kill_9_at_any_moment(tm
 
 
 @pytest.mark.parametrize("part", LARGEST)
-def test_the_old_or_the_new_is_whole_after_a_death_at_any_byte(tmp_path, writers, part):
+def test_file_is_old_or_new_after_death_at_any_byte(tmp_path, writers, part):
     writers.live(len(PARTS), leave=0.0)
     store = tmp_path / NAME / "observations" / "observations.bin"
     bytes_, deaths = random.Random(6), 0

@@ -60,7 +60,7 @@ def replace_name(root, name):
 
 @NAMED
 @pytest.mark.parametrize("use", ["sessions", "replay", "results", "folder", "decisions", "session"])
-def test_an_illegal_name_is_refused_with_the_rule_before_anything_is_looked_at(root, name, use):
+def test_invalid_name_is_rejected_with_the_rule(root, name, use):
     before = everything_below(root.parent)
     with pytest.raises(SessionError, match=RULE) as refused:
         uses_of(root, name)[use]()
@@ -70,7 +70,7 @@ def test_an_illegal_name_is_refused_with_the_rule_before_anything_is_looked_at(r
 
 @given(st.text(max_size=70))
 @settings(max_examples=300, deadline=None, derandomize=True)
-def test_a_name_is_legal_exactly_by_the_rule(name):
+def test_name_is_valid_exactly_by_the_rule(name):
     if re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name) and name.isascii():
         assert check_name(name) == name
     else:
@@ -79,18 +79,18 @@ def test_a_name_is_legal_exactly_by_the_rule(name):
 
 
 @pytest.mark.parametrize("name", [None, 3, b"a", ["a"], True])
-def test_what_is_no_text_is_no_name(name):
+def test_name_must_be_text(name):
     with pytest.raises(SessionError, match=RULE):
         check_name(name)
 
 
-def test_an_unknown_name_is_answered_with_those_there_are(root):
+def test_unknown_session_lists_known_ones(root):
     for attempt in (lambda: find_session(root, "other", "replay"), lambda: read_sets(root, ["other"])):
         with pytest.raises(SessionError, match=rf"is 'other', but .* no such session in {root}: known are {NAME}$"):
             attempt()
 
 
-def test_no_session_and_too_many_are_refused(root):
+def test_number_of_sessions_is_limited(root):
     with pytest.raises(SessionError, match="no sessions given"):
         read_sets(root, [])
     with pytest.raises(SessionError, match=f"{MOST_SESSIONS + 1} sessions were named: name {MOST_SESSIONS} at most"):
@@ -98,7 +98,7 @@ def test_no_session_and_too_many_are_refused(root):
     assert len(read_sets(root, [NAME] * 100)) == 1
 
 
-def test_a_session_that_is_a_link_out_of_the_root_is_not_read(root, tmp_path):
+def test_session_link_out_of_root_is_not_read(root, tmp_path):
     make_sample(tmp_path)
     (root / "away").symlink_to(tmp_path / NAME)
     try:
@@ -112,7 +112,7 @@ def test_a_session_that_is_a_link_out_of_the_root_is_not_read(root, tmp_path):
 
 
 @pytest.mark.parametrize("target", ["away", ".", "missing"])
-def test_a_link_that_leads_round_or_nowhere_is_refused(root, target):
+def test_circular_or_dangling_link_is_rejected(root, target):
     (root / "away").symlink_to(root / target)
     try:
         with pytest.raises(EmbodiedActiveLearningError, match=r"away|config.yaml is missing"):
@@ -121,7 +121,7 @@ def test_a_link_that_leads_round_or_nowhere_is_refused(root, target):
         (root / "away").unlink()
 
 
-def test_a_link_to_another_session_of_the_same_root_and_a_linked_root_are_as_good(root, tmp_path):
+def test_link_within_root_is_accepted(root, tmp_path):
     (root / "latest").symlink_to(NAME)
     (tmp_path / "root").symlink_to(root)
     try:
@@ -131,7 +131,7 @@ def test_a_link_to_another_session_of_the_same_root_and_a_linked_root_are_as_goo
         (root / "latest").unlink()
 
 
-def test_results_are_replaced_only_when_that_is_asked_for(root):
+def test_results_are_replaced_only_on_request(root):
     config = configuration(root)
     found = [load_fingerprints(root / NAME)]
     decisions = root / NAME / "identification" / "first" / "decisions.yaml"
@@ -144,14 +144,14 @@ def test_results_are_replaced_only_when_that_is_asked_for(root):
     IdentificationRun(root / NAME, found, "second", 0, config.identification).close()
 
 
-def test_results_that_were_not_finished_may_be_replaced(root):
+def test_incomplete_results_are_replaced(root):
     folder = root / NAME / "identification" / "half"
     folder.mkdir()
     (folder / "beliefs.safetensors").write_bytes(b"half")
     check_results(root / NAME, "half", overwrite=False)
 
 
-def test_names_that_are_made_are_legal_whatever_they_are_made_of(tmp_path):
+def test_generated_names_are_valid(tmp_path):
     world = tmp_path / f"{'My Table (2) äß' * 8}.yaml"
     world.write_text("objects: {}\n")
     given_ = {
@@ -164,14 +164,14 @@ def test_names_that_are_made_are_legal_whatever_they_are_made_of(tmp_path):
 
 
 @pytest.mark.parametrize("root", ["~nobody-of-that-name/x", "a\x00b"])
-def test_a_root_that_cannot_be_is_refused(root):
+def test_invalid_root_is_rejected(root):
     config = Config.from_dict({"session": {"root": root, "name": "a"}})
     with pytest.raises(SessionError, match="session/root is"):
         check_session(config)
 
 
 @pytest.mark.parametrize("root", ["/dev/null/x", "/proc/self/x", "/" + "x" * 300, "/" + "x/" * 3000])
-def test_a_root_where_nothing_can_be_written_is_refused(root):
+def test_unwritable_root_is_rejected(root):
     with pytest.raises(SessionError, match=r"session/root|cannot be"):
         check_session(Config.from_dict({"session": {"root": root, "name": "a"}}))
 
@@ -179,7 +179,7 @@ def test_a_root_where_nothing_can_be_written_is_refused(root):
 @pytest.mark.parametrize(
     "world", ["a\x00b.yaml", "/" + "x" * 5000 + ".yaml", "~nobody/x.yaml", "/dev/zero.yaml", ".yaml"]
 )
-def test_a_world_or_profile_whose_path_cannot_be_is_refused(tmp_path, world):
+def test_invalid_world_or_profile_path_is_rejected(tmp_path, world):
     for profile, overrides in (("demo", [f"simulation/world={world}"]), (world, [])):
         with pytest.raises(EmbodiedActiveLearningError):
             resolve(profile, [f"session/root={tmp_path}", "session/name=a", *overrides])

@@ -71,11 +71,11 @@ def is_false(node):
 
 
 @pytest.mark.parametrize("path", python_files(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_nothing_that_could_run_what_is_read_is_called(path):
+def test_no_code_execution_functions_are_called(path):
     assert list(dangers(path.read_text(encoding="utf-8"))) == []
 
 
-def test_every_node_and_most_of_the_library_are_looked_at():
+def test_all_nodes_and_library_are_scanned():
     names = {path.name for path in python_files()}
     assert {"trainer", "identifier", "monitor", "resolve_config", "files.py", "check_session.py"} <= names
     assert len(names) > 100
@@ -98,5 +98,5 @@ def test_every_node_and_most_of_the_library_are_looked_at():
         "f = os.system",
     ],
 )
-def test_what_is_dangerous_is_seen(source):
+def test_dangerous_calls_are_detected(source):
     assert list(dangers(source))

@@ -52,19 +52,19 @@ def assert_same_pose(found, expected):
 
 @pytest.mark.parametrize("camera", CAMERAS)
 @given(POSES, st.floats(0.0, 200.0), st.floats(0.0, 200.0))
-def test_point_of_a_pixel_is_projected_back_to_that_pixel(camera, state, row, column):
+def test_pixel_to_point_and_back_is_identity(camera, state, row, column):
     point = table_points(state, np.float64(row), np.float64(column), camera)
     assert project(point, state, camera) == pytest.approx((row, column), abs=1e-6)
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
 @given(POSES, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
-def test_pixel_of_a_point_is_where_the_camera_matrix_projects_it(camera, state, x, y):
+def test_pixel_of_point_matches_camera_matrix(camera, state, x, y):
     point = np.add(state[:2], (x, y))
     assert pixels_of(state, point, camera) == pytest.approx(project(point, state, camera), abs=1e-6)
 
 
-def test_pixels_of_one_point_or_of_many_are_found_for_many_states():
+def test_pixels_of_broadcasts_points_and_states():
     states, points = np.random.default_rng(0).uniform(-0.5, 0.5, (7, 3)), np.random.default_rng(1).random((7, 2))
     for index, state in enumerate(states):
         one, many = pixels_of(states, points[0], CAMERAS[1]), pixels_of(states, points, CAMERAS[1])
@@ -72,14 +72,14 @@ def test_pixels_of_one_point_or_of_many_are_found_for_many_states():
         assert (many[0][index], many[1][index]) == pytest.approx(project(points[index], state, CAMERAS[1]))
 
 
-def test_pixel_size_is_the_distance_between_the_points_of_neighbours():
+def test_pixel_size_equals_distance_of_neighbours():
     for camera in CAMERAS:
         points = table_points(np.array([0.4, 0.1, 0.7]), np.array([3, 3, 4]), np.array([5, 6, 5]), camera)
         apart = np.linalg.norm(points[1:] - points[0], axis=1)
         assert apart == pytest.approx([metres_per_pixel(camera)] * 2, rel=1e-12)
 
 
-def test_a_small_object_is_in_the_pixel_whose_point_it_stands_on(tmp_path):
+def test_small_object_appears_in_its_pixel(tmp_path):
     world = tmp_path / "mine.yaml"
     address = "package://embodied_active_learning/worlds/models/star/star.urdf"
     world.write_text(
@@ -102,7 +102,7 @@ def test_a_small_object_is_in_the_pixel_whose_point_it_stands_on(tmp_path):
 
 
 @given(st.floats(-100.0, 100.0))
-def test_wrapped_angle_lies_between_minus_pi_and_pi_and_points_the_same_way(angle):
+def test_wrapped_angle_is_equivalent_and_in_range(angle):
     wrapped = wrap(angle)
     assert -math.pi <= wrapped < math.pi
     assert math.cos(wrapped - angle) == pytest.approx(1.0)
@@ -112,38 +112,38 @@ def test_wrapped_angle_lies_between_minus_pi_and_pi_and_points_the_same_way(angl
 @pytest.mark.parametrize(
     "angle", [math.pi, -math.pi, 3 * math.pi, np.nextafter(-math.pi, -4), np.nextafter(math.pi, 0)]
 )
-def test_wrapped_angle_is_never_pi_itself(angle):
+def test_wrapped_angle_is_below_pi(angle):
     assert -math.pi <= wrap(angle) < math.pi
 
 
 @given(POSES, POSES)
-def test_motion_takes_origin_to_goal(origin, goal):
+def test_move_maps_origin_to_goal(origin, goal):
     assert_same_pose(move(origin, origin, goal), goal)
 
 
 @given(POSES, POSES, POSES)
-def test_motion_is_that_of_the_homogeneous_transforms(pose, origin, goal):
+def test_move_matches_homogeneous_transforms(pose, origin, goal):
     moved = matrix(goal) @ np.linalg.inv(matrix(origin)) @ matrix(pose)
     expected = (moved[0, 2], moved[1, 2], math.atan2(moved[1, 0], moved[0, 0]))
     assert_same_pose(move(pose, origin, goal), expected)
 
 
 @given(POSES, POSES, POSES, POSES)
-def test_motion_keeps_distances_and_turns_between_poses(one, other, origin, goal):
+def test_move_preserves_distances_and_turns(one, other, origin, goal):
     before = pose_distance(one, other)
     after = pose_distance(move(one, origin, goal), move(other, origin, goal))
     np.testing.assert_allclose(after, before, atol=1e-9)
 
 
 @given(POSES, POSES, POSES, POSES)
-def test_motions_follow_each_other_and_can_be_undone(pose, first, second, third):
+def test_moves_compose_and_invert(pose, first, second, third):
     there = move(pose, first, second)
     assert_same_pose(move(there, second, third), move(pose, first, third))
     assert_same_pose(move(there, second, first), pose)
 
 
 @given(POSES, POSES, st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-2.0, 2.0)))
-def test_object_that_looks_the_same_from_a_new_state_is_where_it_truly_stands(learned, true, view):
+def test_move_finds_object_that_looks_the_same(learned, true, view):
     """Camera states are given as seen from the object, so both show it in the same way."""
     stored, new = matrix(learned) @ matrix(view), matrix(true) @ matrix(view)
     states = [np.array([pose[0, 2], pose[1, 2], math.atan2(pose[1, 0], pose[0, 0])]) for pose in (stored, new)]
@@ -152,7 +152,7 @@ def test_object_that_looks_the_same_from_a_new_state_is_where_it_truly_stands(le
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**31 - 1))
-def test_arrays_of_poses_are_moved_one_by_one(seed):
+def test_move_broadcasts_poses(seed):
     poses, origins, goals = np.random.default_rng(seed).uniform(-3, 3, (3, 4, 5, 3))
     moved = move(poses, origins, goals)
     for index in np.ndindex(4, 5):
@@ -160,20 +160,20 @@ def test_arrays_of_poses_are_moved_one_by_one(seed):
     np.testing.assert_allclose(move(poses[0, 0], origins, goals)[2, 3], move(poses[0, 0], origins[2, 3], goals[2, 3]))
 
 
-def test_turn_between_poses_is_taken_the_short_way():
+def test_pose_distance_takes_smallest_turn():
     distance, turn = pose_distance(np.array([3.0, 0.0, 3.0]), np.array([0.0, 4.0, -3.0]))
     assert distance == pytest.approx(5.0)
     assert turn == pytest.approx(2 * math.pi - 6.0)
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_a_camera_matrix_tells_the_field_of_view_that_it_was_made_for(camera):
+def test_camera_matrix_gives_field_of_view(camera):
     matrix = intrinsics(camera.width, camera.height, camera.field_of_view)
     assert field_of_view(matrix, camera.height) == pytest.approx(camera.field_of_view)
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda values: np.linalg.norm(values) > 0.01))
-def test_a_quaternion_gives_the_rotation_that_pybullet_has_for_it(values):
+def test_quaternion_rotation_matches_pybullet(values):
     unit = values / np.linalg.norm(values)
     expected = np.reshape(pybullet.getMatrixFromQuaternion(unit), (3, 3))
     np.testing.assert_allclose(rotation_matrix(*unit), expected, atol=1e-9)

@@ -61,7 +61,7 @@ def packed(order, colour, width=4, height=2):
 
 
 @pytest.mark.parametrize("padding", [0, 5])
-def test_every_order_of_channels_gives_the_same_picture(padding):
+def test_channel_orders_give_the_same_image(padding):
     picture = noise()
     alpha = np.full((*picture.shape[:2], 1), 9, np.uint8)
     for encoding, array in {
@@ -73,7 +73,7 @@ def test_every_order_of_channels_gives_the_same_picture(padding):
         np.testing.assert_array_equal(decode(array, encoding, padding), picture, encoding)
 
 
-def test_grey_pictures_have_three_equal_channels():
+def test_grey_image_has_equal_channels():
     grey = noise(channels=1)
     np.testing.assert_array_equal(decode(grey, "mono8", 3), np.repeat(grey, 3, axis=-1))
 
@@ -82,18 +82,18 @@ def test_grey_pictures_have_three_equal_channels():
 @pytest.mark.parametrize(
     ("encoding", "order"), [("yuyv", "YUYV"), ("yuv422_yuy2", "YUYV"), ("yuv422", "UYVY"), ("uyvy", "UYVY")]
 )
-def test_yuv_is_bt601_as_webcams_send_it(encoding, order, rgb, yuv):
+def test_yuv_is_decoded_as_bt601(encoding, order, rgb, yuv):
     found = decode(packed(order, yuv), encoding, padding=6)
     np.testing.assert_allclose(found, np.broadcast_to(rgb, found.shape), atol=3)
 
 
 @pytest.mark.parametrize(("encoding", "code"), [("yuyv", cv2.COLOR_YUV2RGB_YUY2), ("yuv422", cv2.COLOR_YUV2RGB_UYVY)])
-def test_yuv_is_what_opencv_and_with_it_cv_bridge_make_of_it(encoding, code):
+def test_yuv_matches_opencv(encoding, code):
     array = noise(channels=2)
     np.testing.assert_array_equal(decode(array, encoding, 4), cv2.cvtColor(array, code))
 
 
-def test_a_grey_scale_survives_the_way_through_yuv():
+def test_grey_scale_survives_yuv_round_trip():
     grey = np.arange(16, 236, dtype=np.uint8).reshape(10, 22)
     array = np.stack([grey, np.full_like(grey, 128)], axis=-1)
     found = decode(array, "yuyv").astype(int)
@@ -101,20 +101,20 @@ def test_a_grey_scale_survives_the_way_through_yuv():
     np.testing.assert_allclose(found[..., 0], (grey.astype(float) - 16) * 255 / 219, atol=1)
 
 
-def test_a_compressed_picture_without_loss_is_the_same():
+def test_png_is_lossless():
     np.testing.assert_array_equal(decode_compressed(png(noise())), noise())
 
 
-def test_a_jpeg_is_nearly_the_same_and_red_stays_red():
+def test_jpeg_keeps_colours():
     np.testing.assert_allclose(decode_compressed(jpeg(colours())).astype(int), colours().astype(int), atol=12)
 
 
-def test_a_camera_may_fill_up_the_end_of_a_jpeg_with_zeros():
+def test_jpeg_with_zero_padding_is_decoded():
     data = jpeg(colours())
     np.testing.assert_array_equal(decode_compressed(data + bytes(100)), decode_compressed(data))
 
 
-def test_a_note_that_the_picture_is_to_be_turned_is_passed_over():
+def test_exif_rotation_is_ignored():
     orientation = b"Exif\0\0" + b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + b"\0\0\0\0"
     data = jpeg(colours())
     turned = data[:2] + b"\xff\xe1" + struct.pack(">H", len(orientation) + 2) + orientation + data[2:]
@@ -134,7 +134,7 @@ def test_a_note_that_the_picture_is_to_be_turned_is_passed_over():
         ({"encoding": "yuyv", "width": 19}, "image is 19 pixels wide: encoding yuyv requires"),
     ],
 )
-def test_a_raw_picture_that_is_not_what_it_says_is_refused_by_name(change, expected):
+def test_inconsistent_raw_image_is_rejected(change, expected):
     message = {"data": bytes(720), "encoding": "rgb8", "height": 12, "width": 20, "step": 60, **change}
     with pytest.raises(ObservationError, match=expected):
         decode_raw(**message)
@@ -164,12 +164,12 @@ def bomb(size):
     ],
     ids=lambda value: value[:12] if isinstance(value, str) else f"{len(value)} bytes",
 )
-def test_a_compressed_picture_that_cannot_be_trusted_is_refused_by_name(data, expected):
+def test_invalid_compressed_image_is_rejected(data, expected):
     with pytest.raises(ObservationError, match=expected):
         decode_compressed(data)
 
 
-def test_a_large_jpeg_is_refused_before_it_is_decoded(monkeypatch):
+def test_large_jpeg_is_rejected_before_decoding(monkeypatch):
     data = bytearray(jpeg(colours()))
     at = data.index(b"\xff\xc0")
     data[at + 5 : at + 9] = struct.pack(">HH", 65535, 65535)
@@ -182,7 +182,7 @@ SIZES = st.integers(0, 40)
 
 
 @given(st.sampled_from([*ENCODINGS, "", "rgb16"]), SIZES, SIZES, st.integers(0, 200), st.integers(-3, 3), st.data())
-def test_any_raw_bytes_give_a_picture_of_the_announced_size_or_a_named_error(encoding, height, width, step, slip, data):
+def test_random_raw_bytes_give_image_or_error(encoding, height, width, step, slip, data):
     step = data.draw(st.sampled_from([step, width * BYTES_PER_PIXEL.get(encoding, 2)]))
     length = max(0, height * step + slip) if step else 0
     random = data.draw(st.randoms(use_true_random=False))
@@ -197,7 +197,7 @@ def test_any_raw_bytes_give_a_picture_of_the_announced_size_or_a_named_error(enc
 
 @settings(max_examples=300)
 @given(st.sampled_from([jpeg(colours(), 60), png(colours(12, 16))]), st.data())
-def test_any_damage_to_a_compressed_picture_gives_a_picture_or_a_named_error(whole, data):
+def test_damaged_compressed_image_gives_image_or_error(whole, data):
     damaged = bytearray(whole)
     for at in data.draw(st.lists(st.integers(0, len(whole) - 1), max_size=4)):
         damaged[at] = data.draw(st.integers(0, 255))
@@ -210,7 +210,7 @@ def test_any_damage_to_a_compressed_picture_gives_a_picture_or_a_named_error(who
     assert picture.dtype == np.uint8
 
 
-def test_the_middle_of_a_wide_picture_is_kept_and_nothing_of_the_rest():
+def test_framing_keeps_centre_of_wide_image():
     picture = np.zeros((360, 640, 3), np.uint8)
     picture[:, :140] = picture[:, 500:] = 255
     image = Framing.between((360, 640), (180, 180)).apply(picture)
@@ -218,14 +218,14 @@ def test_the_middle_of_a_wide_picture_is_kept_and_nothing_of_the_rest():
     assert image.max() == 0
 
 
-def test_a_smaller_image_is_the_mean_of_the_pixels_that_it_replaces():
+def test_downscaling_averages_pixels():
     picture = noise(40, 60)
     image = Framing.between((40, 60), (10, 10)).apply(picture)
     expected = picture[:, 10:50].reshape(10, 4, 10, 4, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(image, expected, atol=0.51)
 
 
-def test_a_picture_of_the_right_size_is_not_touched():
+def test_image_of_model_size_is_unchanged():
     picture = noise()
     assert Framing.between((12, 20), (12, 20)).apply(picture) is picture
 
@@ -234,7 +234,7 @@ EXTENTS = st.integers(1, 700)
 
 
 @given(EXTENTS, EXTENTS, EXTENTS, EXTENTS)
-def test_any_size_becomes_the_models_from_the_largest_part_of_its_shape(height, width, rows, columns):
+def test_framing_crops_largest_part_of_any_size(height, width, rows, columns):
     framing = Framing.between((height, width), (rows, columns))
     assert framing.apply(np.zeros((height, width, 3), np.uint8)).shape == (rows, columns, 3)
     assert framing.part[0] == height or framing.part[1] == width, "nothing is cut off on both axes"
@@ -246,7 +246,7 @@ def test_any_size_becomes_the_models_from_the_largest_part_of_its_shape(height, 
 
 
 @pytest.mark.parametrize("source", [(360, 640), (480, 640), (91, 120), (640, 360)])
-def test_a_point_is_where_the_framings_matrix_says(source):
+def test_framing_matrix_maps_points(source):
     framing = Framing.between(source, (60, 60))
     row, column = source[0] // 2 + 7, source[1] // 2 - 11
     picture = np.zeros((*source, 3), np.float32)

@@ -58,7 +58,7 @@ def follow(limits, pose, velocity, wanted, period, ticks):
     case=limits_and_poses(), legs=st.lists(st.tuples(wanted_velocities, st.integers(1, 60)), max_size=6), data=st.data()
 )
 @settings(max_examples=150, deadline=None)
-def test_nothing_that_is_wanted_takes_an_arm_over_a_limit(case, legs, data):
+def test_no_request_exceeds_a_limit(case, legs, data):
     limits, tops, accelerations, pose = case
     period = data.draw(st.floats(1e-3, 0.1))
     velocity = REST
@@ -86,7 +86,7 @@ def test_nothing_that_is_wanted_takes_an_arm_over_a_limit(case, legs, data):
     period=st.floats(1e-6, 1.0),
 )
 @settings(max_examples=500, deadline=None)
-def test_even_from_an_absurd_state_no_velocity_jumps(pose, previous, wanted, period):
+def test_velocity_does_not_jump_from_absurd_state(pose, previous, wanted, period):
     limits = MotionLimits.from_config(CONFIG)
     velocity = np.array(limits.next_velocity(pose, previous, wanted, period).velocity)
     reachable = period * ACCELERATION + ROUNDING + 1e-15 * np.abs(previous)
@@ -97,7 +97,7 @@ def test_even_from_an_absurd_state_no_velocity_jumps(pose, previous, wanted, per
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("outwards", [0.0, 1.0])
 @pytest.mark.parametrize("distance", [1e-6, 1e-3, 0.05, 3.0])
-def test_from_outside_the_workspace_the_arm_is_led_back_and_stays(limits, side, outwards, distance):
+def test_arm_returns_from_outside_the_workspace(limits, side, outwards, distance):
     border = UPPER if side > 0.0 else LOWER
     pose, velocity = border + side * distance, outwards * side * TOP
     wanted = side * TOP
@@ -111,7 +111,7 @@ def test_from_outside_the_workspace_the_arm_is_led_back_and_stays(limits, side, 
     assert np.all(side * (steps[-1][0] - border) <= ROUNDING)
 
 
-def test_an_arm_that_strays_a_little_is_still_held_inside(limits):
+def test_arm_with_deviations_stays_inside(limits):
     generator = np.random.default_rng(0)
     stray = np.array([2e-6, 2e-6, 2e-5])  # per period: more than that of the simulated arm at full speed
     limits = MotionLimits.from_config(CONFIG, margin=3e-4)
@@ -126,7 +126,7 @@ def test_an_arm_that_strays_a_little_is_still_held_inside(limits):
         np.testing.assert_allclose(BOX.normalise(pose), np.sign(wanted), atol=1e-3)
 
 
-def test_braking_begins_where_the_room_is_just_enough_for_it():
+def test_braking_starts_at_braking_distance():
     # 0.9 of the acceleration of 10 is planned with: 0.9 m/s less each period of 0.1 s, which takes 0.18 + 0.09 m.
     limits = MotionLimits([0.0] * 3, [1.0] * 3, [5.0] * 3, [10.0] * 3)
     steps = list(follow(limits, [0.73] * 3, [1.0] * 3, [5.0] * 3, 0.1, 4))
@@ -135,13 +135,13 @@ def test_braking_begins_where_the_room_is_just_enough_for_it():
 
 
 @pytest.mark.parametrize(("wanted", "ticks"), [((0.1, -0.15, 1.5), 36), ((0.052, 0.0, 0.3), 11), ((0.0, 0.0, 0.0), 1)])
-def test_a_legal_velocity_is_reached_exactly_and_as_soon_as_the_acceleration_limit_allows(limits, wanted, ticks):
+def test_legal_velocity_is_reached_at_full_acceleration(limits, wanted, ticks):
     velocities = [velocity for _, velocity in follow(limits, BOX.centre, REST, wanted, PERIOD, ticks)]
     assert velocities[-1] == wanted
     assert all(velocity != wanted for velocity in velocities[:-1])
 
 
-def test_gaining_speed_is_no_cut_but_speed_limit_and_border_are(limits):
+def test_only_speed_limit_and_border_count_as_cut(limits):
     centre = BOX.centre.tolist()
     assert not limits.next_velocity(centre, REST, TOP, PERIOD).cut
     assert limits.next_velocity(centre, REST, 1.02 * TOP, PERIOD).cut
@@ -152,7 +152,7 @@ def test_gaining_speed_is_no_cut_but_speed_limit_and_border_are(limits):
 
 @given(velocity=wanted_velocities)
 @settings(max_examples=300, deadline=None)
-def test_a_velocity_above_the_speed_limits_keeps_its_direction(velocity):
+def test_velocity_above_limits_keeps_direction(velocity):
     slowed = MotionLimits.from_config(CONFIG).slowed(velocity)
     if np.all(np.abs(velocity) <= TOP):
         assert slowed == velocity
@@ -166,7 +166,7 @@ def test_a_velocity_above_the_speed_limits_keeps_its_direction(velocity):
 
 @given(starts=st.tuples(*(st.floats(-1.0, 1.0),) * 3), goals=st.tuples(*(st.floats(-1.0, 1.0),) * 3))
 @settings(max_examples=60, deadline=None)
-def test_an_approach_arrives_in_time_without_overshooting(starts, goals):
+def test_approach_arrives_without_overshoot(starts, goals):
     limits = MotionLimits.from_config(CONFIG)
     pose, target = BOX.denormalise(np.array(starts)), BOX.denormalise(np.array(goals))
     side, velocity = np.sign(target - pose), REST
@@ -180,7 +180,7 @@ def test_an_approach_arrives_in_time_without_overshooting(starts, goals):
 @pytest.mark.parametrize("place", [0, 1, 2])
 @given(value=absurd, axis=st.integers(0, 2))
 @settings(max_examples=20, deadline=None)
-def test_what_is_not_a_finite_number_is_refused_by_name(place, value, axis):
+def test_non_finite_number_is_rejected(place, value, axis):
     values = [BOX.centre.tolist(), list(REST), list(REST)]
     values[place][axis] = value
     name = ("pose", "previous velocity", "wanted velocity")[place]
@@ -189,12 +189,12 @@ def test_what_is_not_a_finite_number_is_refused_by_name(place, value, axis):
 
 
 @pytest.mark.parametrize("wanted", [(), (0.1, 0.1), (0.1, 0.1, 0.1, 0.1), None, 0.1])
-def test_a_velocity_of_another_length_is_refused(limits, wanted):
+def test_velocity_of_wrong_length_is_rejected(limits, wanted):
     with pytest.raises(CommandError, match=r"invalid wanted velocity .*: expected 3 finite numbers"):
         limits.next_velocity(BOX.centre, REST, wanted, PERIOD)
 
 
 @pytest.mark.parametrize("period", [0.0, -0.01, 1e-9, 1.5, math.nan, math.inf])
-def test_a_period_that_no_control_loop_has_is_refused(limits, period):
+def test_invalid_period_is_rejected(limits, period):
     with pytest.raises(CommandError, match=r"invalid period .*: expected 1e-06 to 1 s"):
         limits.next_velocity(BOX.centre, REST, REST, period)

@@ -13,12 +13,12 @@ STATES = arrays(np.float64, (4, 3), elements=st.floats(-5, 5))
 
 
 @given(STATES)
-def test_normalising_and_back_gives_the_same_states(states):
+def test_normalise_and_denormalise_are_inverse(states):
     workspace = Workspace()
     np.testing.assert_allclose(workspace.denormalise(workspace.normalise(states)), states, atol=1e-12)
 
 
-def test_the_limits_are_plus_and_minus_one():
+def test_limits_normalise_to_plus_and_minus_one():
     workspace = Workspace()
     np.testing.assert_allclose(workspace.normalise([workspace.lower, workspace.upper]), [[-1] * 3, [1] * 3], atol=1e-12)
 
@@ -28,15 +28,15 @@ def test_one_normalised_unit_is_15_cm_and_2_rad():
 
 
 @given(STATES)
-def test_clipped_states_lie_inside(states):
+def test_clipped_states_are_inside(states):
     workspace = Workspace()
     assert np.all(workspace.contains(workspace.clip(states), tolerance=1e-12))
 
 
-def test_nan_lies_outside():
+def test_nan_is_outside():
     assert not Workspace().contains([np.nan, 0.0, 0.0])
 
 
-def test_limits_out_of_order_are_refused_by_name():
+def test_reversed_limits_are_rejected():
     with pytest.raises(ConfigError, match="workspace/y is"):
         Workspace(lower=(0.3, 0.2, -2.0), upper=(0.6, -0.2, 2.0))

@@ -3,7 +3,7 @@
 from embodied_active_learning.pipeline.progress import Progress, ProgressLine, duration
 
 
-def test_the_time_left_follows_from_the_pace_so_far():
+def test_remaining_time_follows_the_pace():
     now = [0.0]
     line = ProgressLine(clock=lambda: now[0])
     assert "left -" in line.describe(Progress(0, 100, 0, 300))
@@ -17,7 +17,7 @@ def test_the_time_left_follows_from_the_pace_so_far():
     assert "left 1:00" in text
 
 
-def test_a_run_that_stands_still_promises_nothing():
+def test_stalled_run_has_no_remaining_time():
     now = [0.0]
     line = ProgressLine(clock=lambda: now[0])
     line.describe(Progress(5, 100, 0, 300))
@@ -25,6 +25,6 @@ def test_a_run_that_stands_still_promises_nothing():
     assert "left -" in line.describe(Progress(5, 100, 0, 300))
 
 
-def test_durations_read_like_a_clock():
+def test_duration_is_formatted_as_clock():
     assert duration(59.6) == "1:00"
     assert duration(3725) == "62:05"

@@ -43,7 +43,7 @@ def assert_equal(found, expected):
         assert torch.equal(found[name], tensor)
 
 
-def test_checkpoint_gives_back_tensors_and_counters(tmp_path):
+def test_checkpoint_round_trip(tmp_path):
     counters = {"observations": 214, "beta": [1e-4, 0.1], "draws": {"state": 2**127 + 1, "name": "PCG64"}}
     save_checkpoint(tmp_path, 600, tensors(), counters)
     checkpoint = load_latest(tmp_path)
@@ -51,12 +51,12 @@ def test_checkpoint_gives_back_tensors_and_counters(tmp_path):
     assert_equal(checkpoint.tensors, tensors())
 
 
-def test_no_checkpoint_is_none(tmp_path):
+def test_missing_checkpoint_is_none(tmp_path):
     assert load_latest(tmp_path) is None
     assert load_latest(tmp_path / "missing") is None
 
 
-def test_the_last_checkpoints_are_kept_and_leftovers_cleaned(tmp_path):
+def test_newest_checkpoints_are_kept(tmp_path):
     (tmp_path / ".checkpoint_000000001.safetensors.99999999.1.tmp").write_bytes(b"half")
     for updates in (9, 90, 900):
         save_checkpoint(tmp_path, updates, tensors(), {}, keep=2)
@@ -64,7 +64,7 @@ def test_the_last_checkpoints_are_kept_and_leftovers_cleaned(tmp_path):
     assert names == ["checkpoint_000000090.safetensors", "checkpoint_000000900.safetensors"]
 
 
-def test_loading_walks_back_to_the_newest_whole_checkpoint_and_says_why(tmp_path):
+def test_damaged_checkpoint_falls_back_to_older_one(tmp_path):
     for updates in (1, 2, 3):
         path = save_checkpoint(tmp_path, updates, tensors(updates), {"n": updates}, keep=3)
     path.write_bytes(path.read_bytes()[:-1])
@@ -75,7 +75,7 @@ def test_loading_walks_back_to_the_newest_whole_checkpoint_and_says_why(tmp_path
     assert ["000000004" in checkpoint.refused[0], "000000003" in checkpoint.refused[1]] == [True, True]
 
 
-def test_checkpoint_saved_after_walking_back_replaces_the_refused_ones(tmp_path):
+def test_checkpoint_after_fallback_replaces_damaged_ones(tmp_path):
     for updates in (1, 2):
         save_checkpoint(tmp_path, updates, tensors(), {}, keep=2)
     (tmp_path / "checkpoint_000000009.safetensors").write_bytes(b"damaged")
@@ -83,34 +83,34 @@ def test_checkpoint_saved_after_walking_back_replaces_the_refused_ones(tmp_path)
     assert sorted(path.name[18:20] for path in tmp_path.iterdir()) == ["02", "03"]
 
 
-def test_checkpoints_of_which_none_is_whole_are_an_error_not_a_fresh_start(tmp_path):
+def test_only_damaged_checkpoints_are_an_error(tmp_path):
     save_checkpoint(tmp_path, 5, tensors(), {}).write_bytes(b"damaged")
     with pytest.raises(CorruptFileError, match=r"all checkpoints in .* are damaged: .*000000005"):
         load_latest(tmp_path)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_tensor_that_is_not_finite_never_replaces_a_good_checkpoint(tmp_path, value):
+def test_non_finite_tensor_does_not_replace_checkpoint(tmp_path, value):
     save_checkpoint(tmp_path, 1, tensors(), {}, keep=1)
     with pytest.raises(SessionError, match="tensor weight has values that are not finite"):
         save_checkpoint(tmp_path, 2, {"weight": torch.tensor([value])}, {}, keep=1)
     assert load_latest(tmp_path).updates == 1
 
 
-def test_finite_numbers_whose_sum_is_not_are_stored(tmp_path):
+def test_finite_numbers_with_infinite_sum_are_stored(tmp_path):
     largest = torch.full((3,), torch.finfo(torch.float32).max)
     save_checkpoint(tmp_path, 1, {"weight": largest}, {})
     assert torch.equal(load_latest(tmp_path).tensors["weight"], largest)
 
 
-def test_model_gives_back_tensors_and_facts(tmp_path):
+def test_model_round_trip(tmp_path):
     save_model(tmp_path / "model.safetensors", tensors(), {"updates": 9000})
     found, facts = load_model(tmp_path / "model.safetensors")
     assert_equal(found, tensors())
     assert facts == {"updates": 9000}
 
 
-def test_flipped_bits_are_refused_or_change_nothing(tmp_path):
+def test_flipped_bits_are_detected(tmp_path):
     path = tmp_path / "model.safetensors"
     save_model(path, tensors(), {"updates": 9000})
     content = path.read_bytes()
@@ -126,7 +126,7 @@ def test_flipped_bits_are_refused_or_change_nothing(tmp_path):
         assert facts == {"updates": 9000}
 
 
-def test_model_cut_short_at_any_byte_is_refused(tmp_path):
+def test_truncated_model_is_rejected(tmp_path):
     path = tmp_path / "model.safetensors"
     save_model(path, tensors(), {})
     content = path.read_bytes()
@@ -146,7 +146,7 @@ class Canary:
         return (os.mkdir, (str(self.path),))
 
 
-def test_pickle_renamed_to_safetensors_is_refused_and_never_run(tmp_path):
+def test_pickle_named_safetensors_is_rejected_unexecuted(tmp_path):
     canary = tmp_path / "canary"
     for name, write in (("plain", pickle.dump), ("torch", torch.save)):
         path = tmp_path / f"{name}.safetensors"
@@ -167,7 +167,7 @@ def test_pickle_renamed_to_safetensors_is_refused_and_never_run(tmp_path):
         ({"format": "embodied_active_learning/model", "version": "1", "facts": "{}"}, "sha256"),
     ],
 )
-def test_file_of_another_kind_or_version_is_refused_by_field(tmp_path, metadata, field):
+def test_file_of_another_kind_is_rejected(tmp_path, metadata, field):
     path = tmp_path / "model.safetensors"
     path.write_bytes(save(tensors_copy(), metadata=metadata))
     with pytest.raises(CorruptFileError, match=f"model.safetensors: {field} is"):
@@ -178,12 +178,12 @@ def tensors_copy():
     return {name: tensor.clone() for name, tensor in tensors().items()}
 
 
-def test_missing_model_is_told_with_a_remedy(tmp_path):
+def test_missing_model_error_has_a_remedy(tmp_path):
     with pytest.raises(CorruptFileError, match=r"model.safetensors is missing: restore the file, or train again"):
         load_model(tmp_path / "model.safetensors")
 
 
-def test_write_that_fails_keeps_the_old_file_and_leaves_nothing(tmp_path):
+def test_failed_write_keeps_old_file(tmp_path):
     path = tmp_path / "note.txt"
     write_text(path, "old")
 
@@ -194,7 +194,7 @@ def test_write_that_fails_keeps_the_old_file_and_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_folder_that_cannot_be_written_is_a_named_error(tmp_path):
+def test_unwritable_folder_is_reported(tmp_path):
     with pytest.raises(SessionError, match=r"note.txt cannot be written \(No such file or directory\)"):
         write_text(tmp_path / "missing" / "note.txt", "text")
 
@@ -210,7 +210,7 @@ for updates in range(int(sys.argv[2]), 10**6):
 """
 
 
-def test_a_whole_checkpoint_is_there_after_kill_9_at_random_moments(tmp_path):
+def test_checkpoint_is_complete_after_sigkill(tmp_path):
     moments, latest = random.Random(2), 0
     for _ in range(3):
         command = [sys.executable, "-c", SAVER, str(tmp_path), str(latest + 1)]
@@ -231,7 +231,7 @@ def test_a_whole_checkpoint_is_there_after_kill_9_at_random_moments(tmp_path):
     assert latest > 0
 
 
-def test_full_disk_keeps_the_checkpoints_there_are_and_leaves_nothing_else(tmp_path):
+def test_full_disk_keeps_existing_checkpoints(tmp_path):
     script = f"""
 import resource, signal
 import torch
@@ -259,7 +259,7 @@ else:
         st.text(max_size=5), st.one_of(st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text())
     ),
 )
-def test_any_finite_numbers_make_the_round_trip(tmp_path_factory, values, counters):
+def test_any_finite_numbers_round_trip(tmp_path_factory, values, counters):
     folder = tmp_path_factory.mktemp("checkpoints")
     save_checkpoint(folder, 1, {"values": torch.tensor(values, dtype=torch.float32)}, counters)
     checkpoint = load_latest(folder)
@@ -275,7 +275,7 @@ def test_equal_content_gives_equal_bytes(tmp_path):
     assert len({path.read_bytes() for path in paths}) == 1
 
 
-def test_file_with_the_metadata_of_older_versions_is_read(tmp_path):
+def test_metadata_of_older_versions_is_read(tmp_path):
     """Older versions stored the fields of the header as separate metadata."""
     path = tmp_path / "model.safetensors"
     save_model(path, {"w": torch.ones(3)}, {"updates": 1})
@@ -287,7 +287,7 @@ def test_file_with_the_metadata_of_older_versions_is_read(tmp_path):
     assert facts == {"updates": 1}
 
 
-def test_sparse_file_beyond_the_memory_is_refused(tmp_path):
+def test_sparse_file_beyond_memory_is_rejected(tmp_path):
     """A failed allocation inside safetensors is not an Exception."""
     path, size = tmp_path / "model.safetensors", 2**30
     header = json.dumps({"w": {"dtype": "U8", "shape": [size], "data_offsets": [0, size]}}).encode()

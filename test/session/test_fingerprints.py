@@ -86,7 +86,7 @@ def names_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_set_comes_back_exactly_with_the_configuration_of_its_session(session):
+def test_set_round_trip_with_session_config(session):
     generation = save_fingerprints(session, make_set())
     assert generation == session / "fingerprints" / "000001"
     found = load_fingerprints(session)
@@ -95,7 +95,7 @@ def test_set_comes_back_exactly_with_the_configuration_of_its_session(session):
     assert type(found.fingerprints) is tuple
 
 
-def test_set_without_fingerprints_comes_back_too(session):
+def test_empty_set_round_trip(session):
     save_fingerprints(session, make_set(fingerprints=()))
     assert load_fingerprints(session).fingerprints == ()
 
@@ -108,7 +108,7 @@ def test_set_without_fingerprints_comes_back_too(session):
     importance=st.floats(0, 1),
     counts=st.tuples(st.integers(0, 2**63), st.integers(0, 2**63)),
 )
-def test_any_numbers_come_back_bit_by_bit(tmp_path_factory, states, images, stds, importance, counts):
+def test_any_numbers_round_trip_bit_exactly(tmp_path_factory, states, images, stds, importance, counts):
     session = make_session(tmp_path_factory.mktemp("sessions"))
     fingerprint = make_fingerprint(
         centre=states[0], states=states, images=images, latent_means=-stds, latent_stds=stds, importance=importance
@@ -118,7 +118,7 @@ def test_any_numbers_come_back_bit_by_bit(tmp_path_factory, states, images, stds
     assert_same(load_fingerprints(session), expected)
 
 
-def test_arrays_that_are_read_only_or_run_backwards_are_saved_as_they_look(session):
+def test_read_only_and_reversed_arrays_are_saved(session):
     frozen = np.arange(9.0).reshape(3, 3)
     frozen.setflags(write=False)
     images = make_fingerprint().images[::-1, :, ::-1]
@@ -128,13 +128,13 @@ def test_arrays_that_are_read_only_or_run_backwards_are_saved_as_they_look(sessi
 
 
 @pytest.mark.parametrize("name", ["0", "1e5", "null"])
-def test_names_that_yaml_could_take_for_something_else_come_back(session, name):
+def test_names_ambiguous_in_yaml_round_trip(session, name):
     expected = make_set(session=name, fingerprints=(make_fingerprint(name=name),))
     save_fingerprints(session, expected)
     assert_same(load_fingerprints(session), expected)
 
 
-def test_thumbnail_is_for_people_and_never_needed(session):
+def test_missing_thumbnail_is_ignored(session):
     generation = save_fingerprints(session, make_set())
     path = generation / "object-1" / "thumbnail.png"
     np.testing.assert_array_equal(cv2.imread(str(path))[..., ::-1], make_fingerprint().thumbnail)
@@ -150,7 +150,7 @@ def test_second_save_replaces_the_first(session):
     assert names_in(generation) == ["model.safetensors", "object-1", "set.yaml"]
 
 
-def test_leftovers_of_killed_savers_are_removed_by_the_next_save_and_nothing_else(session):
+def test_next_save_removes_only_leftovers(session):
     folder = session / "fingerprints"
     (folder / ".000001.tmp" / "object-1").mkdir(parents=True)
     (folder / ".set.yaml.7.8.tmp").write_text("half")
@@ -162,7 +162,7 @@ def test_leftovers_of_killed_savers_are_removed_by_the_next_save_and_nothing_els
     assert (session / "config.yaml").is_file()
 
 
-def test_session_without_fingerprints_says_how_to_get_some(session):
+def test_missing_fingerprints_error_has_a_remedy(session):
     (session / "fingerprints").mkdir()
     assert not has_fingerprints(session)
     command = "roslaunch embodied_active_learning fingerprint.launch session:=a"
@@ -172,7 +172,7 @@ def test_session_without_fingerprints_says_how_to_get_some(session):
     assert has_fingerprints(session)
 
 
-def test_folder_that_is_no_session_is_refused_and_left_alone(tmp_path):
+def test_other_folder_is_rejected_untouched(tmp_path):
     with pytest.raises(CorruptFileError, match=r"config.yaml is missing"):
         load_fingerprints(tmp_path)
     with pytest.raises(CorruptFileError, match=r"config.yaml is missing"):
@@ -180,7 +180,7 @@ def test_folder_that_is_no_session_is_refused_and_left_alone(tmp_path):
     assert names_in(tmp_path) == []
 
 
-def test_set_of_another_session_s_configuration_is_not_saved(session):
+def test_set_of_another_config_is_not_saved(session):
     config = replace(CONFIG, exploration=replace(CONFIG.exploration, seed=3))
     with pytest.raises(SessionError, match=r"do not belong to session .*: exploration/seed is 3 but"):
         save_fingerprints(session, make_set(config=config))
@@ -188,17 +188,17 @@ def test_set_of_another_session_s_configuration_is_not_saved(session):
 
 
 @pytest.mark.parametrize("name", ["set.yaml", "model.safetensors"])
-def test_no_fingerprint_can_be_called_like_a_file_of_its_set(name):
+def test_fingerprint_name_cannot_equal_a_file_name(name):
     with pytest.raises(SessionError, match=rf"name of a fingerprint is '{name}': give 1 to 64"):
         make_fingerprint(name=name)
 
 
-def test_set_of_a_session_whose_name_was_legal_once_is_still_read(session):
+def test_set_of_session_with_older_name_is_read(session):
     save_fingerprints(session, make_set(session="a.b"))
     assert load_fingerprints(session).session == "a.b"
 
 
-def test_weights_that_are_not_finite_keep_the_old_set(session):
+def test_non_finite_weights_keep_old_set(session):
     save_fingerprints(session, numbered(1))
     with pytest.raises(SessionError, match=r"tensor w has values that are not finite"):
         save_fingerprints(session, make_set(weights={"w": torch.tensor([float("nan")])}))
@@ -206,14 +206,14 @@ def test_weights_that_are_not_finite_keep_the_old_set(session):
     assert names_in(session / "fingerprints") == [".lock", "000001"]
 
 
-def test_set_is_saved_and_loaded_while_the_trainer_holds_the_session(tmp_path):
+def test_set_is_saved_while_session_is_locked(tmp_path):
     config = replace(CONFIG, session=SessionConfig(root=str(tmp_path), name="a"))
     with Session.open_for_writing(config) as session:
         save_fingerprints(session.paths.path, make_set(config=config))
         assert load_fingerprints(session.paths.path).config == config
 
 
-def test_two_processes_never_save_at_once(session):
+def test_concurrent_save_is_rejected(session):
     save_fingerprints(session, numbered(1))
     with (session / "fingerprints" / ".lock").open("ab") as held:
         lock.claim(held, session)
@@ -226,7 +226,7 @@ def test_two_processes_never_save_at_once(session):
     assert number_of(load_fingerprints(session)) == 2
 
 
-def test_set_that_is_replaced_while_it_is_read_gives_the_new_one(session, monkeypatch):
+def test_set_replaced_while_reading_gives_new_one(session, monkeypatch):
     save_fingerprints(session, numbered(1))
     rounds = []
 
@@ -242,7 +242,7 @@ def test_set_that_is_replaced_while_it_is_read_gives_the_new_one(session, monkey
     assert rounds == ["000001", "000002"]
 
 
-def test_old_or_new_set_is_whole_whenever_its_saver_is_killed(session):
+def test_set_is_complete_when_saver_is_killed(session):
     # In a process without threads, because it forks; in one for both, because torch takes seconds to start.
     code = "import sys, test_fingerprints as tests; tests.kill_savers(sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(session)], check=True, timeout=120, env=ENVIRONMENT)
@@ -334,7 +334,7 @@ FULL = r"fingerprints cannot be written \(.*\): free disk space, or make the fol
 
 
 @pytest.mark.parametrize(("function", "calls"), [("replace", 5), ("fsync", 9)])
-def test_full_disk_keeps_the_old_set_and_says_what_to_do(session, monkeypatch, function, calls):
+def test_full_disk_keeps_old_set(session, monkeypatch, function, calls):
     save_fingerprints(session, numbered(1))
     for step in range(calls):
         with monkeypatch.context() as patched:
@@ -346,7 +346,7 @@ def test_full_disk_keeps_the_old_set_and_says_what_to_do(session, monkeypatch, f
         assert names_in(session / "fingerprints") == [".lock", "000001"]
 
 
-def test_disk_that_fails_after_the_commit_leaves_the_new_set(session, monkeypatch):
+def test_disk_failure_after_commit_keeps_new_set(session, monkeypatch):
     save_fingerprints(session, numbered(1))
     full_disk_at(monkeypatch, "fsync", 9)
     with pytest.raises(SessionError, match=FULL):
@@ -354,7 +354,7 @@ def test_disk_that_fails_after_the_commit_leaves_the_new_set(session, monkeypatc
     assert number_of(load_fingerprints(session)) == 2
 
 
-def test_file_that_the_system_cuts_short_keeps_the_old_set(session):
+def test_file_size_limit_keeps_old_set(session):
     save_fingerprints(session, numbered(1))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (500, hard))
@@ -367,7 +367,7 @@ def test_file_that_the_system_cuts_short_keeps_the_old_set(session):
     assert names_in(session / "fingerprints") == [".lock", "000001"]
 
 
-def test_file_larger_than_is_ever_loaded_is_not_saved(session, monkeypatch):
+def test_too_large_file_is_not_saved(session, monkeypatch):
     save_fingerprints(session, numbered(1))
     for kind, remedy in (("", "fewer fingerprints"), ("_MODEL", "smaller model"), ("_FINGERPRINT", "fewer views")):
         with monkeypatch.context() as patched:
@@ -378,7 +378,7 @@ def test_file_larger_than_is_ever_loaded_is_not_saved(session, monkeypatch):
 
 
 @pytest.mark.parametrize(("name", "size"), zip(FILES, (2**18, 2**32, 2**30)))
-def test_file_that_is_too_large_is_refused_unread(session, name, size):
+def test_too_large_file_is_rejected_unread(session, name, size):
     path = save_fingerprints(session, make_set()) / name
     os.truncate(path, size + 1)
     with pytest.raises(CorruptFileError, match=rf"{name} has {size + 1} bytes, at most {size} are allowed"):
@@ -386,7 +386,7 @@ def test_file_that_is_too_large_is_refused_unread(session, name, size):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_missing_file_and_what_is_no_file_are_refused_by_name(session, name):
+def test_missing_or_special_file_is_rejected(session, name):
     path = save_fingerprints(session, make_set()) / name
     path.unlink()
     made = {
@@ -401,7 +401,7 @@ def test_missing_file_and_what_is_no_file_are_refused_by_name(session, name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_flipped_bits_are_refused_by_name_or_change_nothing(session, name):
+def test_flipped_bits_are_detected_by_file(session, name):
     path = save_fingerprints(session, make_set()) / name
     content = path.read_bytes()
     refusals = []
@@ -426,7 +426,7 @@ def refusal(session, expected):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_file_cut_short_is_refused_by_name(session, name):
+def test_truncated_file_is_rejected(session, name):
     path = save_fingerprints(session, make_set()) / name
     content = path.read_bytes()
     for length in (0, 1, 8, len(content) // 2, len(content) - 2):
@@ -435,7 +435,7 @@ def test_file_cut_short_is_refused_by_name(session, name):
             load_fingerprints(session)
 
 
-def test_damaged_newest_set_does_not_fall_back_to_an_older_one(session):
+def test_damaged_newest_set_has_no_fallback(session):
     old = save_fingerprints(session, numbered(1))
     kept = session / "kept"
     shutil.copytree(old, kept)
@@ -447,7 +447,7 @@ def test_damaged_newest_set_does_not_fall_back_to_an_older_one(session):
 
 
 @pytest.mark.parametrize("name", FILES[1:])
-def test_file_of_another_kind_is_refused_by_name(session, name):
+def test_file_of_another_kind_is_rejected(session, name):
     path = save_fingerprints(session, make_set()) / name
     write_tensors(path, "checkpoint", {"weight": torch.ones(1)}, {})
     with pytest.raises(CorruptFileError, match=rf"{name}: format is 'embodied_active_learning/checkpoint'"):
@@ -466,7 +466,7 @@ class Canary:
 
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("write", [pickle.dump, torch.save])
-def test_pickle_under_a_name_of_ours_is_refused_and_never_run(session, name, write):
+def test_pickle_is_rejected_unexecuted(session, name, write):
     path, canary = save_fingerprints(session, make_set()) / name, session / "canary"
     with path.open("wb") as stream:
         write(Canary(canary), stream)
@@ -475,7 +475,7 @@ def test_pickle_under_a_name_of_ours_is_refused_and_never_run(session, name, wri
     assert not canary.exists()
 
 
-def test_yaml_that_wants_to_run_something_is_refused_and_never_run(session):
+def test_yaml_with_code_is_rejected_unexecuted(session):
     path, canary = save_fingerprints(session, make_set()) / "set.yaml", session / "canary"
     call = f"!!python/object/apply:os.mkdir [{canary}]"
     for text in (call, path.read_text().replace("updates: 9000", f"updates: {call}")):
@@ -486,7 +486,7 @@ def test_yaml_that_wants_to_run_something_is_refused_and_never_run(session):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "a: [", "\xff", "{}", pytest.param("[" * 1000, id="deep")])
-def test_set_file_that_holds_no_fields_is_refused(session, text):
+def test_set_file_without_fields_is_rejected(session, text):
     path = save_fingerprints(session, make_set()) / "set.yaml"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(CorruptFileError, match=r"set.yaml"):
@@ -504,7 +504,7 @@ def test_set_file_that_holds_no_fields_is_refused(session, text):
         ("more", 1, "unknown key more"),
     ],
 )
-def test_set_file_that_was_changed_is_refused_by_field(session, field, value, message):
+def test_changed_set_file_names_the_field(session, field, value, message):
     path = save_fingerprints(session, make_set()) / "set.yaml"
     content = yaml.safe_load(path.read_text())
     path.write_text(yaml.safe_dump({**content, field: value}))
@@ -533,7 +533,7 @@ def test_set_file_that_was_changed_is_refused_by_field(session, field, value, me
         ("names", ["object-1", "object-1"], "duplicate fingerprint name in object-1, object-1"),
     ],
 )
-def test_set_with_illegal_facts_is_refused_though_its_checksum_is_right(session, field, value, message):
+def test_invalid_set_with_valid_checksum_is_rejected(session, field, value, message):
     generation = save_fingerprints(session, make_set())
     path = generation / "set.yaml"
     content = {**yaml.safe_load(path.read_text()), field: value}
@@ -560,7 +560,7 @@ def test_set_with_illegal_facts_is_refused_though_its_checksum_is_right(session,
         ({}, {"more": 1}, "unknown key more"),
     ],
 )
-def test_fingerprint_that_is_none_is_refused_though_its_checksum_is_right(session, tensors, facts, message):
+def test_invalid_fingerprint_with_valid_checksum_is_rejected(session, tensors, facts, message):
     path = save_fingerprints(session, make_set()) / "object-1" / "fingerprint.safetensors"
     stored, said = read_tensors(path, "fingerprint")
     changed = {name: tensor for name, tensor in {**stored, **tensors}.items() if tensor is not None}
@@ -569,7 +569,7 @@ def test_fingerprint_that_is_none_is_refused_though_its_checksum_is_right(sessio
         load_fingerprints(session)
 
 
-def test_set_that_no_longer_fits_the_session_is_refused(session):
+def test_set_of_other_model_is_rejected(session):
     save_fingerprints(session, make_set())
     write_description(session / "config.yaml", replace(CONFIG, model=replace(CONFIG.model, latent_size=5)))
     with pytest.raises(CorruptFileError, match=r"set.yaml: object-1: made with 2 latents but"):
@@ -577,7 +577,7 @@ def test_set_that_no_longer_fits_the_session_is_refused(session):
 
 
 @pytest.mark.parametrize("name", ["", "000001", *(f"000001/{name}" for name in (*FILES, "object-1"))])
-def test_link_out_of_the_session_is_refused(session, tmp_path, name):
+def test_link_out_of_session_is_rejected(session, tmp_path, name):
     save_fingerprints(session, make_set())
     path = session / "fingerprints" / name
     path.rename(tmp_path / "elsewhere")
@@ -601,14 +601,14 @@ def test_nothing_is_written_or_deleted_through_a_link(session, tmp_path):
     assert names_in(tmp_path / "other") == [".lock", "000002"]
 
 
-def test_session_that_is_reached_through_a_link_is_as_good(session, tmp_path):
+def test_session_behind_a_link_is_accepted(session, tmp_path):
     (tmp_path / "link").symlink_to(session)
     save_fingerprints(tmp_path / "link", numbered(1))
     assert number_of(load_fingerprints(tmp_path / "link")) == 1
     assert number_of(load_fingerprints(session)) == 1
 
 
-def test_generations_go_on_after_six_digits(session):
+def test_generations_continue_after_six_digits(session):
     folder = session / "fingerprints"
     save_fingerprints(session, numbered(1)).rename(folder / "999999")
     shutil.copytree(folder / "999999", session / "kept")
@@ -617,7 +617,7 @@ def test_generations_go_on_after_six_digits(session):
     assert number_of(load_fingerprints(session)) == 2
 
 
-def test_blanks_are_kept_in_their_order(session):
+def test_blanks_keep_their_order(session):
     order = ("blank-1", "object-2", "object-1")
     found = tuple(make_fingerprint(name=name, kind=BLANK, importance=0.0) for name in order)
     save_fingerprints(session, make_set(fingerprints=found))

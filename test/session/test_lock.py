@@ -21,7 +21,7 @@ def claim(path):
 
 @pytest.mark.parametrize("attempt", [lock.acquire, lock.holder, claim])
 @pytest.mark.parametrize("code", [errno.ENOLCK, errno.EACCES])
-def test_file_that_cannot_be_locked_is_named_with_the_reason(tmp_path, monkeypatch, attempt, code):
+def test_lock_failure_names_file_and_reason(tmp_path, monkeypatch, attempt, code):
     path = tmp_path / "file"
     path.touch()
 
@@ -33,19 +33,19 @@ def test_file_that_cannot_be_locked_is_named_with_the_reason(tmp_path, monkeypat
         attempt(path)
 
 
-def test_lock_file_that_cannot_be_opened_is_named(tmp_path):
+def test_unopenable_lock_file_is_named(tmp_path):
     for attempt in (lock.acquire, lock.holder):
         with pytest.raises(SessionError, match=rf"{tmp_path} cannot be locked \(it is a folder\)"):
             attempt(tmp_path)
 
 
-def test_lock_file_of_no_session_is_held_by_nobody(tmp_path):
+def test_missing_lock_file_has_no_holder(tmp_path):
     (tmp_path / "file").touch()
     assert lock.holder(tmp_path / "missing" / ".lock") is None
     assert lock.holder(tmp_path / "file" / ".lock") is None
 
 
-def test_somebody_who_asks_for_the_holder_does_not_keep_a_session_from_being_opened(tmp_path):
+def test_query_of_holder_does_not_block_opening(tmp_path):
     path = tmp_path / ".lock"
     path.touch()
     asking = path.open("rb")
@@ -56,7 +56,7 @@ def test_somebody_who_asks_for_the_holder_does_not_keep_a_session_from_being_ope
     answered.join()
 
 
-def test_session_in_use_is_said_to_be_so_within_half_a_second(tmp_path):
+def test_session_in_use_is_reported_quickly(tmp_path):
     path = tmp_path / ".lock"
     with lock.acquire(path):
         began = time.monotonic()

@@ -53,7 +53,7 @@ def assert_holds(store, count):
     np.testing.assert_allclose(store.states, WORKSPACE.normalise(store.raw_states), atol=1e-6)
 
 
-def test_store_gives_back_what_was_appended(tmp_path):
+def test_store_round_trip(tmp_path):
     fill(tmp_path, 7)
     with ObservationStore.open_read_only(tmp_path, WORKSPACE) as store:
         assert_holds(store, 7)
@@ -61,7 +61,7 @@ def test_store_gives_back_what_was_appended(tmp_path):
         assert (store.states.dtype, store.raw_states.dtype, store.images.dtype) == (np.float32, np.float64, np.uint8)
 
 
-def test_store_grows_beyond_its_capacity_and_goes_on_after_reopening(tmp_path):
+def test_store_grows_and_continues_after_reopening(tmp_path):
     fill(tmp_path, 70)
     with open_store(tmp_path, capacity=10) as store:
         for index in range(70, 150):
@@ -71,7 +71,7 @@ def test_store_grows_beyond_its_capacity_and_goes_on_after_reopening(tmp_path):
         assert_holds(store, 150)
 
 
-def test_repeated_observation_is_acknowledged_but_stored_once(tmp_path):
+def test_repeated_observation_is_stored_once(tmp_path):
     data = fill(tmp_path, 3)
     size = data.stat().st_size
     with open_store(tmp_path) as store:
@@ -89,7 +89,7 @@ def test_repeated_observation_is_acknowledged_but_stored_once(tmp_path):
         (1, 0.3, 1, "observation 1 is stored with other content"),
     ],
 )
-def test_gap_or_other_content_under_a_stored_number_is_refused(tmp_path, index, stamp, content, message):
+def test_wrong_observation_number_is_rejected(tmp_path, index, stamp, content, message):
     fill(tmp_path, 3)
     with open_store(tmp_path) as store:
         with pytest.raises(ObservationError, match=message):
@@ -108,14 +108,14 @@ def test_gap_or_other_content_under_a_stored_number_is_refused(tmp_path, index, 
         (0.0, [0.4, 0.0], image(0), r"state has shape \(2,\), expected \(3,\)"),
     ],
 )
-def test_observation_that_does_not_fit_is_refused_naming_found_and_expected(tmp_path, stamp, pose, picture, message):
+def test_invalid_observation_is_rejected(tmp_path, stamp, pose, picture, message):
     with open_store(tmp_path) as store:
         with pytest.raises(ObservationError, match=message):
             store.append(0, stamp, pose, picture)
         assert len(store) == 0
 
 
-def test_record_cut_short_at_any_byte_leaves_the_records_before_it(tmp_path):
+def test_truncated_record_keeps_earlier_records(tmp_path):
     data = fill(tmp_path, 3)
     content = data.read_bytes()
     record = len(content) // 3
@@ -141,7 +141,7 @@ def test_damaged_record_in_the_middle_is_named(tmp_path):
     assert data.read_bytes() == bytes(content)
 
 
-def test_any_flipped_bit_is_noticed(tmp_path):
+def test_any_flipped_bit_is_detected(tmp_path):
     data = fill(tmp_path, 2)
     content = data.read_bytes()
     for position in range(0, len(content) // 2, 3):
@@ -152,7 +152,7 @@ def test_any_flipped_bit_is_noticed(tmp_path):
             ObservationStore.open_read_only(tmp_path, WORKSPACE)
 
 
-def test_damaged_last_record_counts_as_never_acknowledged(tmp_path, caplog):
+def test_damaged_last_record_is_dropped(tmp_path, caplog):
     data = fill(tmp_path, 3)
     content = bytearray(data.read_bytes())
     content[-20] ^= 4
@@ -175,7 +175,7 @@ def test_damaged_last_record_counts_as_never_acknowledged(tmp_path, caplog):
         ("record_bytes", 12),
     ],
 )
-def test_layout_that_is_not_understood_is_refused_naming_file_and_field(tmp_path, field, value):
+def test_invalid_layout_names_file_and_field(tmp_path, field, value):
     fill(tmp_path, 1)
     path = tmp_path / LAYOUT_FILE
     path.write_text(json.dumps({**json.loads(path.read_text()), field: value}))
@@ -184,39 +184,39 @@ def test_layout_that_is_not_understood_is_refused_naming_file_and_field(tmp_path
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "\x00\xff", '"format"'])
-def test_layout_that_is_no_json_object_is_refused(tmp_path, text):
+def test_layout_that_is_not_json_is_rejected(tmp_path, text):
     fill(tmp_path, 1)
     (tmp_path / LAYOUT_FILE).write_text(text)
     with pytest.raises(CorruptFileError, match=LAYOUT_FILE):
         open_store(tmp_path)
 
 
-def test_observations_without_their_layout_are_not_taken_for_a_new_store(tmp_path):
+def test_store_without_layout_is_rejected(tmp_path):
     fill(tmp_path, 1)
     (tmp_path / LAYOUT_FILE).unlink()
     with pytest.raises(CorruptFileError, match="is missing"):
         open_store(tmp_path)
 
 
-def test_store_of_another_image_size_is_refused(tmp_path):
+def test_store_of_other_image_size_is_rejected(tmp_path):
     fill(tmp_path, 1)
     with pytest.raises(ObservationError, match=r"image_shape is \[5, 4, 3\], but the camera is .* \[6, 4, 3\]"):
         ObservationStore.open_for_writing(tmp_path, WORKSPACE, (6, 4, 3))
 
 
-def test_reading_where_nothing_was_stored_says_so_and_creates_nothing(tmp_path):
+def test_reading_a_missing_store_creates_nothing(tmp_path):
     with pytest.raises(SessionError, match="no observations yet"):
         ObservationStore.open_read_only(tmp_path / "observations", WORKSPACE)
     assert not (tmp_path / "observations").exists()
 
 
-def test_second_writer_is_refused_until_the_first_closes(tmp_path):
+def test_second_writer_is_rejected(tmp_path):
     with open_store(tmp_path), pytest.raises(SessionError, match="being written by another process"):
         open_store(tmp_path)
     open_store(tmp_path).close()
 
 
-def test_reader_may_look_while_the_writer_writes_but_not_write(tmp_path):
+def test_reader_works_beside_writer(tmp_path):
     with open_store(tmp_path) as writer:
         writer.append(0, 0.0, state(0), image(0))
         with ObservationStore.open_read_only(tmp_path, WORKSPACE) as reader:
@@ -225,7 +225,7 @@ def test_reader_may_look_while_the_writer_writes_but_not_write(tmp_path):
                 reader.append(1, 0.2, state(1), image(1))
 
 
-def test_arrays_taken_by_a_reading_thread_stay_a_consistent_prefix(tmp_path):
+def test_snapshots_are_consistent_prefixes(tmp_path):
     faults = []
     stop = threading.Event()
 
@@ -253,7 +253,7 @@ def test_arrays_taken_by_a_reading_thread_stay_a_consistent_prefix(tmp_path):
     assert all(np.array_equal(first[i], image(i)) for i in range(11))
 
 
-def test_append_after_a_full_disk_loses_nothing(tmp_path):
+def test_append_continues_after_full_disk(tmp_path):
     script = f"""
 import resource, signal
 import numpy as np
@@ -295,7 +295,7 @@ for index in range(len(store), 10**6):
 """
 
 
-def test_every_acknowledged_observation_survives_kill_9_at_random_moments(tmp_path):
+def test_acknowledged_observations_survive_sigkill(tmp_path):
     moments, stored = random.Random(4), 0
     for _ in range(12):
         command = [sys.executable, "-c", APPENDER, str(tmp_path)]
@@ -320,7 +320,7 @@ def test_every_acknowledged_observation_survives_kill_9_at_random_moments(tmp_pa
     width=st.integers(1, 6),
     values=st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 4), max_size=5),
 )
-def test_any_finite_observations_make_the_round_trip(tmp_path_factory, height, width, values):
+def test_any_finite_observations_round_trip(tmp_path_factory, height, width, values):
     folder = tmp_path_factory.mktemp("store")
     shape = (height, width, 3)
     with ObservationStore.open_for_writing(folder, WORKSPACE, shape) as store:

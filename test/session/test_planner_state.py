@@ -22,7 +22,7 @@ def memory():
     return PlannerState(1, (12, 345), state, velocity, run.state_dict())
 
 
-def test_a_memory_comes_back_bit_for_bit(tmp_path, memory):
+def test_planner_state_round_trip(tmp_path, memory):
     save_planner_state(tmp_path / "planner.safetensors", memory)
     found = load_planner_state(tmp_path / "planner.safetensors")
     assert (found.index, found.stamp) == (1, (12, 345))
@@ -34,7 +34,7 @@ def test_a_memory_comes_back_bit_for_bit(tmp_path, memory):
         np.testing.assert_array_equal(found.run[name], array)
 
 
-def test_a_later_memory_takes_the_place_of_the_one_before(tmp_path, memory):
+def test_newer_planner_state_replaces_older(tmp_path, memory):
     path = tmp_path / "planner.safetensors"
     save_planner_state(path, memory)
     save_planner_state(path, dataclasses.replace(memory, index=2))
@@ -42,7 +42,7 @@ def test_a_later_memory_takes_the_place_of_the_one_before(tmp_path, memory):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_no_memory_is_none(tmp_path):
+def test_missing_planner_state_is_none(tmp_path):
     assert load_planner_state(tmp_path / "planner.safetensors") is None
 
 
@@ -60,7 +60,7 @@ def test_no_memory_is_none(tmp_path):
         ({}, {"stamp": [1, -2]}, "stamp is -2: expected a whole number from 0"),
     ],
 )
-def test_a_memory_that_is_none_is_refused_though_its_checksum_is_right(tmp_path, memory, arrays, facts, words):
+def test_invalid_planner_state_is_rejected(tmp_path, memory, arrays, facts, words):
     path = tmp_path / "planner.safetensors"
     save_planner_state(path, memory)
     stored, said = read_arrays(path, "planner")
@@ -70,7 +70,7 @@ def test_a_memory_that_is_none_is_refused_though_its_checksum_is_right(tmp_path,
         load_planner_state(path)
 
 
-def test_a_damaged_memory_is_refused(tmp_path, memory):
+def test_damaged_planner_state_is_rejected(tmp_path, memory):
     path = tmp_path / "planner.safetensors"
     save_planner_state(path, memory)
     content = bytearray(path.read_bytes())

@@ -42,7 +42,7 @@ def files_below(folder):
     return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_new_session_holds_the_whole_configuration_and_the_package_version(tmp_path):
+def test_new_session_stores_config_and_version(tmp_path):
     config = make_config(tmp_path)
     with Session.open_for_writing(config) as session:
         assert session.writable
@@ -53,7 +53,7 @@ def test_new_session_holds_the_whole_configuration_and_the_package_version(tmp_p
     assert (reader.name, reader.config, reader.writable) == ("a", config, False)
 
 
-def test_observations_and_tables_of_a_session_are_read_by_others_while_it_runs(tmp_path):
+def test_running_session_is_readable(tmp_path):
     image = np.full((45, 45, 3), 3, np.uint8)
     with Session.open_for_writing(make_config(tmp_path)) as session, session.open_observations() as store:
         store.append(0, 0.0, (0.4, 0.0, 0.0), image)
@@ -66,7 +66,7 @@ def test_observations_and_tables_of_a_session_are_read_by_others_while_it_runs(t
             assert len(reader.read_table("training")["loss"]) == 0
 
 
-def test_existing_session_is_not_overwritten_without_resume(tmp_path):
+def test_existing_session_is_not_overwritten(tmp_path):
     create(tmp_path)
     before = files_below(tmp_path)
     for attempt in (check_session, Session.open_for_writing):
@@ -75,7 +75,7 @@ def test_existing_session_is_not_overwritten_without_resume(tmp_path):
     assert files_below(tmp_path) == before
 
 
-def test_session_is_continued_with_resume_and_may_become_longer(tmp_path):
+def test_resumed_session_may_become_longer(tmp_path):
     create(tmp_path)
     with Session.open_for_writing(make_config(tmp_path, resume=True, exploration={"steps": 200})):
         pass
@@ -95,19 +95,19 @@ def test_session_is_continued_with_resume_and_may_become_longer(tmp_path):
         ("exploration", "seed", 3),
     ],
 )
-def test_session_is_not_continued_with_what_its_data_does_not_fit(tmp_path, section, key, value):
+def test_resume_with_incompatible_config_is_rejected(tmp_path, section, key, value):
     create(tmp_path)
     config = make_config(tmp_path, resume=True, **{section: {key: value}})
     with pytest.raises(SessionError, match=f"cannot be continued: {section}/{key} is .* but the session has"):
         check_session(config)
 
 
-def test_world_that_only_moved_does_not_keep_a_session_from_being_continued(tmp_path):
+def test_resume_with_moved_world_is_accepted(tmp_path):
     create(tmp_path, simulation={"world": "/old/worlds/right.yaml"})
     check_session(make_config(tmp_path, resume=True, simulation={"world": "/new/worlds/right.yaml"}))
 
 
-def test_resuming_what_does_not_exist_lists_what_does(tmp_path):
+def test_resume_of_missing_session_lists_sessions(tmp_path):
     create(tmp_path, name="first")
     with pytest.raises(SessionError, match=r"no session .*/b to resume: known are first"):
         check_session(make_config(tmp_path, name="b", resume=True))
@@ -117,14 +117,14 @@ def test_resuming_what_does_not_exist_lists_what_does(tmp_path):
     "name",
     ["", "..", "../x", "a/b", "/etc", ".hidden", "A", "a b", "ä", "a\n", "a\x00", "-a", "a.b", "x" * 65, "x" * 10000],
 )
-def test_names_that_could_leave_the_folder_or_surprise_a_shell_are_refused(tmp_path, name):
+def test_unsafe_session_names_are_rejected(tmp_path, name):
     with pytest.raises(SessionError, match=r"session/name is .*: give 1 to 64 of a-z"):
         check_session(make_config(tmp_path, name=name))
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["a", "0", "diagonal-ergodic-seed0-20261122-124500", "a_b-c-d", "x" * 64])
-def test_ordinary_names_are_allowed(name):
+def test_ordinary_names_are_accepted(name):
     assert check_name(name) == name
 
 
@@ -134,7 +134,7 @@ def test_check_creates_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "config.yaml"])
-def test_folder_that_is_not_ours_is_refused_untouched(tmp_path, name):
+def test_foreign_folder_is_rejected_untouched(tmp_path, name):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / name).write_text("mine: true\n")
     before = files_below(tmp_path)
@@ -144,7 +144,7 @@ def test_folder_that_is_not_ours_is_refused_untouched(tmp_path, name):
     assert files_below(tmp_path) == before
 
 
-def test_file_or_link_in_the_place_of_a_session_is_refused(tmp_path):
+def test_file_or_link_as_session_is_rejected(tmp_path):
     (tmp_path / "a").write_text("file")
     create(tmp_path, name="target")
     (tmp_path / "b").symlink_to(tmp_path / "target")
@@ -154,13 +154,13 @@ def test_file_or_link_in_the_place_of_a_session_is_refused(tmp_path):
             Session.open_for_writing(make_config(tmp_path, name=name, resume=True))
 
 
-def test_root_that_cannot_hold_folders_is_refused(tmp_path):
+def test_unusable_root_is_rejected(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SessionError, match="choose another session/root"):
         check_session(make_config(tmp_path / "file" / "root"))
 
 
-def test_what_a_process_left_that_died_while_creating_a_session_is_taken_over(tmp_path):
+def test_half_created_session_is_taken_over(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / ".lock").write_text("process 1 on elsewhere")
     leftover = tmp_path / "a" / f".config.yaml.{LARGEST_PROCESS + 1}.2.tmp"
@@ -172,7 +172,7 @@ def test_what_a_process_left_that_died_while_creating_a_session_is_taken_over(tm
     assert beside.exists(), "its writer still runs"
 
 
-def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):
+def test_yaml_with_code_is_rejected_unexecuted(tmp_path):
     create(tmp_path)
     canary = tmp_path / "canary"
     path = tmp_path / "a" / "config.yaml"
@@ -196,7 +196,7 @@ def test_yaml_that_would_run_code_is_refused_and_never_run(tmp_path):
         ({"config": None}, "the content is None"),
     ],
 )
-def test_description_that_is_not_understood_is_refused_by_file_and_field(tmp_path, change, message):
+def test_invalid_description_names_file_and_field(tmp_path, change, message):
     create(tmp_path)
     path = tmp_path / "a" / "config.yaml"
     content = yaml.safe_load(path.read_text())
@@ -223,7 +223,7 @@ def test_session_of_version_2_is_read(tmp_path):
         Session.open_read_only(tmp_path / "a")
 
 
-def test_description_of_before_there_was_a_checksum_is_still_read(tmp_path):
+def test_description_of_version_1_is_read(tmp_path):
     create(tmp_path)
     path = tmp_path / "a" / "config.yaml"
     content = {**yaml.safe_load(path.read_text()), "version": 1}
@@ -232,7 +232,7 @@ def test_description_of_before_there_was_a_checksum_is_still_read(tmp_path):
     assert Session.open_read_only(tmp_path / "a").config == make_config(tmp_path)
 
 
-def test_setting_that_was_changed_in_a_description_is_noticed(tmp_path):
+def test_changed_description_is_detected(tmp_path):
     create(tmp_path)
     path = tmp_path / "a" / "config.yaml"
     path.write_text(path.read_text().replace("seed: 0", "seed: 1"))
@@ -250,7 +250,7 @@ sys.stdin.read()
 """
 
 
-def test_second_writer_is_told_who_holds_the_session_until_kill_9_releases_it(tmp_path):
+def test_session_in_use_names_holder_until_sigkill(tmp_path):
     text = yaml.safe_dump(make_config(tmp_path).to_dict())
     command = [sys.executable, "-c", HOLDER, text]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT) as child:
@@ -264,7 +264,7 @@ def test_second_writer_is_told_who_holds_the_session_until_kill_9_releases_it(tm
         Session.open_for_writing(again).close()
 
 
-def test_run_that_would_not_fit_on_the_disk_is_refused_before_it_starts(tmp_path, monkeypatch):
+def test_run_larger_than_disk_is_rejected(tmp_path, monkeypatch):
     config = make_config(tmp_path)
     usage = disk.shutil.disk_usage(tmp_path)
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: usage._replace(free=1000))
@@ -272,13 +272,13 @@ def test_run_that_would_not_fit_on_the_disk_is_refused_before_it_starts(tmp_path
         check_session(config)
 
 
-def test_space_for_the_paper_s_run_is_estimated_from_images_and_checkpoints():
+def test_space_estimate_of_default_run():
     # 3000 images of 97,200 bytes; 4.3 million weights of 4 bytes, in each of 3 checkpoints with two moments and the
     # weights of the model before, and once in the model.
     assert disk.estimate_bytes(Config()) == pytest.approx(3000 * 97_200 + 13 * 4 * 4.3e6, rel=0.1)
 
 
-def test_space_already_used_by_a_session_is_not_asked_for_again(tmp_path, monkeypatch):
+def test_space_of_stored_data_is_subtracted(tmp_path, monkeypatch):
     config = make_config(tmp_path)
     usage = disk.shutil.disk_usage(tmp_path)
     free = disk.SPARE_BYTES + disk.estimate_bytes(config) - 500
@@ -288,7 +288,7 @@ def test_space_already_used_by_a_session_is_not_asked_for_again(tmp_path, monkey
         disk.check_space(tmp_path, config, stored_bytes=499)
 
 
-def test_sessions_are_listed_by_name_and_others_left_out(tmp_path):
+def test_only_sessions_are_listed(tmp_path):
     assert list_sessions(tmp_path / "missing") == []
     for name in ("b", "a"):
         create(tmp_path, name=name)
@@ -364,7 +364,7 @@ def test_damaged_summary_is_removed_on_resume(tmp_path):
     assert not path.exists()
 
 
-def test_summary_of_a_run_that_recorded_nothing_has_no_numbers(tmp_path):
+def test_summary_of_empty_run_has_no_numbers(tmp_path):
     with Session.open_for_writing(make_config(tmp_path)) as session:
         summary = summarise(session, finished=False, wall_time=0.0)
     assert summary == Summary(finished=False, steps=0, updates=0, wall_time=0.0, verdict=summary.verdict)
@@ -383,26 +383,26 @@ def test_summary_of_a_run_that_recorded_nothing_has_no_numbers(tmp_path):
         (checksummed_text({**vars(Summary(True, 1, 1, 1.0)), "other": 1}), ": unknown key other"),
     ],
 )
-def test_summary_that_is_not_understood_is_refused(tmp_path, text, complaint):
+def test_invalid_summary_is_rejected(tmp_path, text, complaint):
     path = tmp_path / "summary.yaml"
     path.write_text(text)
     with pytest.raises(CorruptFileError, match=f"summary.yaml{complaint}"):
         read_summary(path)
 
 
-def test_missing_summary_means_the_run_did_not_finish(tmp_path):
+def test_missing_summary_means_unfinished_run(tmp_path):
     with pytest.raises(CorruptFileError, match="the run did not finish"):
         read_summary(tmp_path / "summary.yaml")
 
 
-def test_summary_whose_finished_is_no_truth_value_is_refused(tmp_path):
+def test_summary_with_invalid_finished_is_rejected(tmp_path):
     path = tmp_path / "summary.yaml"
     write_summary(path, replace(Summary(True, 1, 1, 1.0), finished="yes"))
     with pytest.raises(CorruptFileError, match="finished is 'yes'"):
         read_summary(path)
 
 
-def test_recordings_do_not_pass_for_observations_that_are_stored_already(tmp_path):
+def test_bags_do_not_count_as_stored_bytes(tmp_path):
     (tmp_path / "observations").mkdir()
     (tmp_path / "observations" / "observations.bin").write_bytes(bytes(300))
     (tmp_path / "bags").mkdir()

@@ -26,18 +26,18 @@ def write(path, rows):
             table.append({"step": step, "value": value})
 
 
-def test_columns_of_the_tables_are_what_other_programs_read():
+def test_table_columns_are_stable():
     assert COLUMNS["exploration"][:6] == ("step", "time", "x", "y", "theta", "ergodic_measure")
     assert COLUMNS["training"][:3] == ("update", "observations", "loss")
     assert COLUMNS["evaluation"][3:6] == ("mse_own", "mse_shuffled", "mse_none")
 
 
-def test_training_table_holds_every_field_of_a_report_and_no_wall_time():
+def test_training_table_has_all_fields_of_a_report():
     assert COLUMNS["training"] == tuple(field.name for field in fields(UpdateReport))
     assert "seconds" not in COLUMNS["training"]  # it would make the tables of two equal runs differ
 
 
-def test_every_row_can_be_read_as_soon_as_it_is_appended(tmp_path):
+def test_appended_row_is_readable_immediately(tmp_path):
     path = tmp_path / "t.csv"
     with Table(path, NAMES) as table:
         for step in range(3):
@@ -46,7 +46,7 @@ def test_every_row_can_be_read_as_soon_as_it_is_appended(tmp_path):
     assert path.read_text().splitlines()[:2] == ["step,value", "0,0.0"]
 
 
-def test_row_may_be_a_dataclass_and_a_missing_value_reads_as_nan(tmp_path):
+def test_missing_value_of_row_is_nan(tmp_path):
     @dataclass
     class Row:
         step: int
@@ -59,21 +59,21 @@ def test_row_may_be_a_dataclass_and_a_missing_value_reads_as_nan(tmp_path):
     assert np.isnan(found["value"]).all()
 
 
-def test_column_that_does_not_exist_is_refused_with_those_that_do(tmp_path):
+def test_unknown_column_is_rejected(tmp_path):
     with Table(tmp_path / "t.csv", NAMES) as table, pytest.raises(
         SessionError, match="no column valeu: the columns are step"
     ):
         table.append({"valeu": 1})
 
 
-def test_missing_or_empty_table_has_no_rows(tmp_path):
+def test_missing_table_has_no_rows(tmp_path):
     (tmp_path / "empty.csv").write_text("")
     for name in ("missing.csv", "empty.csv"):
         found = read_table(tmp_path / name, NAMES)
         assert [found["step"].shape, found["value"].shape] == [(0,), (0,)]
 
 
-def test_line_cut_short_at_any_byte_is_left_out_and_overwritten(tmp_path):
+def test_truncated_line_is_ignored_and_overwritten(tmp_path):
     path = tmp_path / "t.csv"
     write(path, [(0, 0.25), (1, 0.5)])
     content = path.read_bytes()
@@ -88,14 +88,14 @@ def test_line_cut_short_at_any_byte_is_left_out_and_overwritten(tmp_path):
 
 
 @pytest.mark.parametrize("line", ["1", "1,2,3", "1,two", '1,"2'])
-def test_damaged_line_in_the_middle_is_named(tmp_path, line):
+def test_damaged_line_is_named(tmp_path, line):
     path = tmp_path / "t.csv"
     path.write_text(f"step,value\n0,1\n{line}\n2,3\n")
     with pytest.raises(CorruptFileError, match=r"t.csv: line 3"):
         read_table(path, NAMES)
 
 
-def test_table_with_other_columns_is_refused_untouched(tmp_path):
+def test_table_of_other_columns_is_rejected_untouched(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("a,b\n1,2\n")
     for attempt in (Table, read_table):
@@ -104,7 +104,7 @@ def test_table_with_other_columns_is_refused_untouched(tmp_path):
     assert path.read_text() == "a,b\n1,2\n"
 
 
-def test_rows_after_the_point_of_resume_are_dropped_and_it_goes_on_from_there(tmp_path):
+def test_resume_truncates_table(tmp_path):
     path = tmp_path / "t.csv"
     write(path, [(step, step / 7) for step in range(10)])
     with Table(path, NAMES) as table:
@@ -115,7 +115,7 @@ def test_rows_after_the_point_of_resume_are_dropped_and_it_goes_on_from_there(tm
     assert found["value"].tolist() == [*[step / 7 for step in range(5)], 9.0]
 
 
-def test_second_writer_of_a_table_is_refused(tmp_path):
+def test_second_table_writer_is_rejected(tmp_path):
     path = tmp_path / "t.csv"
     with Table(path, NAMES) as table:
         table.truncate_after("step", 0)
@@ -124,7 +124,7 @@ def test_second_writer_of_a_table_is_refused(tmp_path):
     Table(path, NAMES).close()
 
 
-def test_rows_before_and_after_a_full_disk_are_whole(tmp_path):
+def test_rows_are_complete_after_full_disk(tmp_path):
     path = tmp_path / "t.csv"
     script = f"""
 import resource, signal
@@ -150,7 +150,7 @@ table.append({{"step": 2, "value": 3.0}})
 
 @settings(max_examples=30, deadline=None)
 @given(values=st.lists(st.floats(), max_size=8))
-def test_any_numbers_make_the_round_trip(tmp_path_factory, values):
+def test_any_numbers_round_trip(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("table") / "t.csv"
     write(path, enumerate(values))
     found = read_table(path, NAMES)["value"].tolist()
