@@ -28,6 +28,10 @@ def panda_urdf() -> str:
     orientation in panda_link0 is Rz(theta) Rx(pi).
     """
     robot = _camera_panda()
+    # Nothing collides here, and rviz reports errors on the materials of these meshes.
+    for link in robot.iter("link"):
+        for shape in link.findall("collision"):
+            link.remove(shape)
     meshes = _panda_folder() / "meshes"
     for mesh in robot.iter("mesh"):
         mesh.set("filename", (meshes / mesh.get("filename", "")[len(_MESH_PREFIX) :]).as_uri())

@@ -15,7 +15,8 @@ FOUND_COLOUR = ColorRGBA(0.1, 0.7, 0.2, 0.6)
 BLANK_COLOUR = ColorRGBA(0.5, 0.5, 0.5, 0.4)
 _LABEL_COLOUR = ColorRGBA(0.05, 0.05, 0.05, 1.0)
 _DISC_RADIUS, _DISC_THICKNESS = 0.045, 0.002  # m
-_LABEL_HEIGHT = 0.25  # m above the table, above objects and clouds
+LABEL_HEIGHT = 0.28
+"""Height of labels above the table [m]: above objects and clouds."""
 _LABEL_SIZE = 0.025  # m
 
 
@@ -26,9 +27,11 @@ def disc_marker(stamp: rospy.Time, namespace: str, number: int, centre: np.ndarr
     return marker(stamp, namespace, number, Marker.CYLINDER, position, size, colour)
 
 
-def label_marker(stamp: rospy.Time, namespace: str, number: int, centre: np.ndarray, text: str) -> Marker:
-    """Return a text above a centre (x, y, ...) [m]."""
-    position = Point(float(centre[0]), float(centre[1]), _LABEL_HEIGHT)
+def label_marker(
+    stamp: rospy.Time, namespace: str, number: int, centre: np.ndarray, text: str, height: float = LABEL_HEIGHT
+) -> Marker:
+    """Return a text above a centre (x, y, ...) [m] at a height [m]."""
+    position = Point(float(centre[0]), float(centre[1]), height)
     size = Vector3(0.0, 0.0, _LABEL_SIZE)
     label = marker(stamp, namespace, number, Marker.TEXT_VIEW_FACING, position, size, _LABEL_COLOUR)
     label.text = text

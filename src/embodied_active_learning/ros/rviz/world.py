@@ -18,6 +18,7 @@ from embodied_active_learning.workspace import Workspace
 _CELLS = 100  # of the table along each side
 _TABLE_DEPTH = 0.001  # m below the objects, so that discs on the table are visible
 _MARGIN = 0.1  # m of table around the workspace
+_LABEL_HEIGHT = 0.23  # m, above the clouds and below the labels of fingerprints and decisions
 _BOX_COLOUR = ColorRGBA(0.2, 0.4, 0.8, 0.25)
 
 
@@ -29,7 +30,7 @@ def world_markers(simulation: Simulation, workspace: Workspace) -> MarkerArray:
     markers = [_table_marker(stamp, simulation.top_view(centre, size, _CELLS), centre, size)]
     for number, item in enumerate(simulation.objects):
         markers.append(_box_marker(stamp, number, item))
-        markers.append(label_marker(stamp, "world_names", number, np.array(item.centre), item.name))
+        markers.append(label_marker(stamp, "world_names", number, np.array(item.centre), item.name, _LABEL_HEIGHT))
     return MarkerArray(markers)
 
 
