@@ -48,7 +48,7 @@ def test_example_world_can_be_loaded(tmp_path):
     path = tmp_path / "example.yaml"
     path.write_text(example.replace("/path/to/picture.png", str(picture)), encoding="utf-8")
     world = load_world(str(path), Workspace())
-    assert [item.name for item in world.objects] == ["duck"]
+    assert [item.name for item in world.objects] == ["duck", "toy"]
     assert world.disturbances.image_noise == 5.0
 
 
