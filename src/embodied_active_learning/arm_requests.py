@@ -38,10 +38,11 @@ def checked_pose(pose: Sequence[float], workspace: Workspace) -> np.ndarray:
 
 def _three_numbers(values: Sequence[float], name: str) -> List[float]:
     """Return three floats. Raises CommandError."""
+    numbers: np.ndarray
     try:
         numbers = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         numbers = np.empty(0)
     if numbers.shape != (len(STATE_NAMES),) or not np.isfinite(numbers).all():
         raise CommandError(f"invalid {name} {values!r}: expected {len(STATE_NAMES)} finite numbers")
-    return numbers.tolist()
+    return [float(number) for number in numbers]

@@ -11,7 +11,7 @@ import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Dict, List, Mapping, Type
+from typing import Any, BinaryIO, Dict, Hashable, List, Mapping, Optional, Type, cast
 
 import yaml
 
@@ -47,7 +47,7 @@ def open_plain(path: Path, mode: str = "rb", follow: bool = False) -> BinaryIO:
     _refuse_special(path, follow)
     flags = os.O_RDONLY if mode == "rb" else os.O_RDWR | os.O_CREAT
     flags |= os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW)
-    stream = os.fdopen(os.open(path, flags, 0o666), mode, buffering=0)
+    stream = cast(BinaryIO, os.fdopen(os.open(path, flags, 0o666), mode, buffering=0))
     try:
         _refuse_kind(os.fstat(stream.fileno()).st_mode)  # it may have been replaced meanwhile
     except OSError:
@@ -178,8 +178,8 @@ class _PlainLoader(yaml.SafeLoader):
         super().__init__(text)
         self._depth = 0
 
-    def compose_node(self, parent: Any, index: Any) -> yaml.Node:
-        event = self.peek_event()
+    def compose_node(self, parent: Any, index: Any) -> Optional[yaml.Node]:
+        event: Any = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
             raise _error("anchors are not supported, repeat the value", event.start_mark)
         if event.tag is not None:
@@ -191,7 +191,7 @@ class _PlainLoader(yaml.SafeLoader):
         self._depth -= 1
         return node
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Dict[str, Any]:
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Dict[Hashable, Any]:
         keys = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
@@ -226,7 +226,7 @@ _PlainLoader.add_constructor("tag:yaml.org,2002:int", _PlainLoader.construct_yam
 _PlainLoader.add_constructor("tag:yaml.org,2002:float", _PlainLoader.construct_yaml_float)
 
 
-def _error(complaint: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:
+def _error(complaint: str, mark: Any) -> yaml.MarkedYAMLError:
     return yaml.constructor.ConstructorError(None, None, complaint, mark)
 
 
@@ -235,7 +235,8 @@ def _in_words(error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
     if mark is None:
         return " ".join(str(error).split())
-    return f"line {mark.line + 1}: {', '.join(part for part in (error.context, error.problem) if part)}"
+    parts = (getattr(error, "context", None), getattr(error, "problem", None))
+    return f"line {mark.line + 1}: {', '.join(part for part in parts if part)}"
 
 
 def _refuse_special(path: Path, follow: bool) -> None:

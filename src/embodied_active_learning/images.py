@@ -83,7 +83,7 @@ def decode_raw(data: bytes, encoding: str, height: int, width: int, step: int) -
             f"image is {width} pixels wide: encoding {encoding} requires an even number; set another width in the "
             "camera's driver"
         )
-    rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, :row]
+    rows: np.ndarray = np.frombuffer(data, np.uint8).reshape(height, step)[:, :row]
     pixels = rows.reshape(height, width, layout.bytes_per_pixel)
     return pixels if layout.to_rgb is None else cv2.cvtColor(pixels, layout.to_rgb)
 

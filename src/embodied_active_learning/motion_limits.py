@@ -67,8 +67,8 @@ class MotionLimits:
         box = config.workspace.box()
         arm = config.arm
         return cls(
-            box.lower + margin * box.scale,
-            box.upper - margin * box.scale,
+            (box.lower + margin * box.scale).tolist(),
+            (box.upper - margin * box.scale).tolist(),
             (arm.max_speed, arm.max_speed, arm.max_turn_rate),
             (arm.max_acceleration, arm.max_acceleration, arm.max_turn_acceleration),
         )

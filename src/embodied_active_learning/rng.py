@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Tuple
+from typing import Any, Dict, Tuple
 
 import numpy as np
 
@@ -38,7 +38,7 @@ def generator_state(random: np.random.Generator) -> np.ndarray:
 def set_generator_state(random: np.random.Generator, words: np.ndarray) -> None:
     """Set the state of a generator. words: (6,) result of generator_state."""
     high, low, inc_high, inc_low, has_uint32, uinteger = map(int, words)
-    state = random.bit_generator.state
+    state: Dict[str, Any] = dict(random.bit_generator.state)
     state["state"] = {"state": high << 64 | low, "inc": inc_high << 64 | inc_low}
     state["has_uint32"], state["uinteger"] = has_uint32, uinteger
     random.bit_generator.state = state
