@@ -1,6 +1,6 @@
 # make         install missing packages, build
 # make demo    learn, fingerprint and identify in PyBullet, headless, with the demo profile
-# make check   lint and unit tests, without a ROS master: under two minutes
+# make check   lint and unit tests in parallel, without a ROS master: about two minutes on two cores
 # make test    lint and all tests, with nodes: under fifteen minutes
 # make docs    generated files of docs/ and config/, and API pages in build/docs
 # make bench   all benchmarks: tables and build/benchmarks.json
@@ -34,7 +34,7 @@ demo: build
 	tools/demo.sh $(DEMO_ARGS)
 
 check: build lint
-	tools/test.sh -m "not ros" $(PYTEST_ARGS)
+	tools/test.sh -m "not ros" -n auto --dist loadfile $(PYTEST_ARGS)
 
 test: build lint
 	tools/test.sh $(PYTEST_ARGS)
