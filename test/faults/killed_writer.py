@@ -1,9 +1,8 @@
-"""Forks writers that are there to be killed, and tells what each of them has written before.
+"""Forks writers to be killed, and reports the files that each has written before.
 
-For every line on its input, "ROOT" or "ROOT PART BYTE", a writer is forked; its number is told, a line for each file
-that was acknowledged, and "ended" when it is dead. It writes one of every file in turn, until somebody kills it; or
-that part alone, and the kernel kills it when it writes beyond that byte of any file.
-Forked, because importing takes longer than a life.
+For every input line, "ROOT" or "ROOT PART BYTE", it forks a writer and prints its process id, a line for each
+acknowledged file, and "ended" once it is dead. The writer writes one file of each kind in turn until it is killed; or
+that part only, and the kernel kills it when it writes beyond that byte of any file. Forking avoids the slow imports.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class Writer:
         self._table = self._session.open_table("training")
 
     def write(self, part: str) -> None:
-        """Write a part with the number of observations in it, and tell."""
+        """Write a part containing the number of observations, and report it."""
         number = len(self._store)
         getattr(self, f"_write_{part}")(number)
         tell(part, number)

@@ -28,7 +28,7 @@ class SmallDisk:
         _mount("-t", "tmpfs", "-o", f"size={kilobytes}k,nr_inodes=200", "tmpfs", str(folder))
 
     def fill(self, leave: int = 0) -> None:
-        """Take all space but so many bytes, in whole blocks."""
+        """Fill the disk except for a number of bytes, in whole blocks."""
         free = os.statvfs(self.folder)
         with (self.folder / "filler").open("ab") as stream:
             size = stream.tell() + free.f_bavail * free.f_frsize - leave

@@ -50,11 +50,11 @@ class Writers:
         self.acknowledged = {part: set() for part in PARTS}
 
     def live(self, files: int, leave: float) -> None:
-        """Let one write so many files, and go on for some seconds, and kill it."""
+        """Let a writer write a number of files, wait for some seconds, and kill it."""
         child = self._begin()
         for _ in range(files):
-            assert self._note(*self._read()), "the writer has ended by itself"
-        time.sleep(leave)  # so that it is killed in the middle of something, which nobody can wait for
+            assert self._note(*self._read()), "the writer ended before it was killed"
+        time.sleep(leave)  # so that it is killed in the middle of a write
         os.kill(child, signal.SIGKILL)
         while self._note(*self._read()):
             pass

@@ -41,7 +41,7 @@ def everything_below(folder):
 
 
 def uses_of(root, name):
-    """Every place where a name that somebody gives becomes a path."""
+    """Return every function that turns a given name into a path."""
     path = root / NAME
     return {
         "sessions": lambda: read_sets(root, [NAME, name]),

@@ -31,7 +31,7 @@ def is_python(path):
 
 
 def name_of(node):
-    """The dotted name of an expression such as torch.load; empty when it is none."""
+    """Return the dotted name of an expression such as torch.load; empty for others."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):

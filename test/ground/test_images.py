@@ -1,4 +1,4 @@
-"""Pictures of any size and encoding: known colours, exact round trips, and bytes that nobody should trust."""
+"""Images of any size and encoding: known colours, exact round trips, and untrusted bytes."""
 
 import struct
 import zlib

@@ -13,6 +13,7 @@ import embodied_active_learning as eal
 from embodied_active_learning.errors import ConfigError, CorruptFileError, SessionError
 from embodied_active_learning.pipeline import learning
 from embodied_active_learning.pipeline.learning import learn, ros_seconds
+from embodied_active_learning.session import lock
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint
 from embodied_active_learning.session.summary import read_summary
 from tiny import STEPS, TINY
@@ -161,3 +162,4 @@ def test_checkpoint_with_invalid_counter_is_refused(learned, tmp_path, counter, 
     config = tiny(tmp_path, resume=True)
     with pytest.raises(CorruptFileError, match=r"checkpoint_\d+\.safetensors"):
         learning.TrainingRun(config)
+    assert lock.holder(path / ".lock") is None

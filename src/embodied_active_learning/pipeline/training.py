@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Callable, Optional, Sequence, Tuple
 
@@ -34,21 +35,23 @@ class TrainingRun:
         """Create or resume the configured session. Raises EmbodiedActiveLearningError if that is not possible."""
         self._config = config
         self._workspace = config.workspace.box()
-        self._session = Session.open_for_writing(config)
-        self._store = self._session.open_observations()
-        self._learner = Learner(config, self._store, config.exploration.seed)
-        self._changed = threading.Condition()
-        self._save_requested = False
-        self._saved: Optional[Path] = None
-        self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # content and path of the newest checkpoint
-        self._complete = False
-        self._diverged_at, self._rollbacks_there = 0, 0
-        self._restore()
-        self._refreshed = self._learner.replicas.updates  # updates of the newest replica, refreshed or being refreshed
-        # For a rollback before the first checkpoint.
-        self._initial = None if self._learner.updates else self._learner.state_dict()
-        self._training_table = self._open_table("training")
-        self._evaluation_table = self._open_table("evaluation")
+        with ExitStack() as opened:  # releases the session's lock if a part of it is damaged
+            self._session = opened.enter_context(Session.open_for_writing(config))
+            self._store = opened.enter_context(self._session.open_observations())
+            self._learner = Learner(config, self._store, config.exploration.seed)
+            self._changed = threading.Condition()
+            self._save_requested = False
+            self._saved: Optional[Path] = None
+            self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # content, path
+            self._complete = False
+            self._diverged_at, self._rollbacks_there = 0, 0
+            self._restore()
+            self._refreshed = self._learner.replicas.updates  # updates of the newest replica
+            # For a rollback before the first checkpoint.
+            self._initial = None if self._learner.updates else self._learner.state_dict()
+            self._training_table = self._open_table("training")
+            self._evaluation_table = self._open_table("evaluation")
+            opened.pop_all()
 
     @property
     def folder(self) -> Path:
