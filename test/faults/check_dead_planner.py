@@ -170,7 +170,7 @@ class DeadPlannerTest(unittest.TestCase):
     def test_planner_resumes_with_restarted_arm_and_clock(self):
         clocks = self.clocks
         self.arm.kill()
-        self.wait_for_health("planner", DiagnosticStatus.ERROR, "no response from /arm/move")
+        self.wait_for_health("planner", DiagnosticStatus.ERROR, "no response from /arm/")
         with frozen("/ergodic_planner"):  # else the clock may pass its old value before it is received
             type(self).arm = NodeProcess("pybullet_arm")
             self.wait_for(lambda: self.clocks > clocks, "the clock did not go back")
