@@ -8,14 +8,15 @@ import numpy as np
 import rospy
 from std_msgs.msg import Header
 
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.ros.objects.found_objects import found_objects, frame_message, pose_message
 
 
 def make_decision(kind=OBJECT, instance=2):
     pose = np.array([0.5, -0.1, math.pi / 2.0])
-    return Decision("table", "object-1", kind, instance > 0, instance, pose, 0.9, 0.0, 30, 0.5, 0.1, "")
+    outcome = FOUND if instance > 0 else NOT_HERE
+    return Decision("table", "object-1", kind, outcome, instance, pose, 0.9, 0.05, 0.1, 30, 0.5, 0.1, "")
 
 
 def test_blanks_and_rejected_candidates_are_left_out():
