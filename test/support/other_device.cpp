@@ -1,5 +1,5 @@
-/* A device to test with where there is no GPU: its memory is its own to torch, and holding the CPU's tensors against it is
- * an error, as on a GPU. The work is done on the CPU, and is done when it has been asked for. Written for torch 2.4 to 2.13. */
+/* A fake device that rejects the same operations as CUDA: it has memory of its own as far as torch knows, and mixing its
+ * tensors with CPU tensors is an error. It computes on the CPU, synchronously. For torch 2.4 to 2.13. */
 #include <ATen/EmptyTensor.h>
 #include <ATen/detail/PrivateUse1HooksInterface.h>
 #include <ATen/native/CPUFallback.h>
@@ -34,7 +34,7 @@ struct Memory final : c10::Allocator {
 Memory memory;
 REGISTER_ALLOCATOR(TYPE, &memory);
 
-/* What lacks `override` is not known to every torch. */
+/* Functions without `override` do not exist in every version of torch. */
 struct Guard final : c10::impl::DeviceGuardImplInterface {
     c10::DeviceType type() const override { return TYPE; }
     c10::Device exchangeDevice(c10::Device) const override { return device(); }
@@ -67,7 +67,7 @@ struct Hooks final : at::PrivateUse1HooksInterface {
 
 const bool registered = (at::RegisterPrivateUse1HooksInterface(new Hooks), true);
 
-/* The same memory as the CPU sees it. */
+/* A CPU tensor that shares the memory. */
 at::Tensor on_cpu(const at::Tensor &tensor) {
     if (!tensor.defined() || tensor.is_cpu()) return tensor;
     return at::from_blob(tensor.data_ptr(), tensor.sizes(), tensor.strides(), tensor.options().device(at::kCPU));
@@ -106,23 +106,23 @@ at::Tensor convolution(const at::Tensor &input, const at::Tensor &weight, const 
 }
 
 std::tuple<at::Tensor, at::Tensor, at::Tensor> convolution_backward(
-    const at::Tensor &slopes, const at::Tensor &input, const at::Tensor &weight, c10::IntArrayRef stride,
+    const at::Tensor &gradients, const at::Tensor &input, const at::Tensor &weight, c10::IntArrayRef stride,
     c10::IntArrayRef padding, c10::IntArrayRef dilation, bool transposed, c10::IntArrayRef output_padding,
     int64_t groups, std::array<bool, 3> wanted) {
     int64_t biases = transposed ? weight.size(1) * groups : weight.size(0);
     auto [inputs, weights, offsets] =
-        at::convolution_backward(on_cpu(slopes), on_cpu(input), on_cpu(weight), biases, stride, padding, dilation,
+        at::convolution_backward(on_cpu(gradients), on_cpu(input), on_cpu(weight), biases, stride, padding, dilation,
                                  transposed, output_padding, groups, wanted);
     return {on_device(inputs), on_device(weights), on_device(offsets)};
 }
 
 /* torch 2.4 cannot fall back to the CPU for operations that change lists of tensors. */
-void fused_adam(at::TensorList weights, at::TensorList slopes, at::TensorList means, at::TensorList squares,
+void fused_adam(at::TensorList weights, at::TensorList gradients, at::TensorList means, at::TensorList squares,
                 at::TensorList largest, at::TensorList steps, double rate, double beta1, double beta2, double decay,
                 double epsilon, bool amsgrad, bool maximise, const std::optional<at::Tensor> &scale,
                 const std::optional<at::Tensor> &infinite) {
     std::vector<at::Tensor> lists[6];
-    const at::TensorList given[6] = {weights, slopes, means, squares, largest, steps};
+    const at::TensorList given[6] = {weights, gradients, means, squares, largest, steps};
     for (int i = 0; i < 6; i++)
         for (const at::Tensor &tensor : given[i]) lists[i].push_back(on_cpu(tensor));
     at::_fused_adam_(lists[0], lists[1], lists[2], lists[3], lists[4], lists[5], rate, beta1, beta2, decay, epsilon,
