@@ -10,7 +10,7 @@ From image to gradient, one update of `learner.Learner.update`:
 4. `optimiser.Optimiser.step` applies Adam.
 5. `replicas.Replicas.refresh` copies the weights for the planner's queries.
 
-`cvae` is the network, `inference` its forward passes without gradients, `metrics` the quality measures, `verdict` judges
-a run by them, `checkpoint` is the stored state, `build` chooses device and implementation, `trained_model` serves
-fingerprinting and identification.
+`cvae` is the network, `inference` its forward passes without gradients, `metrics` the quality measures, `verdict`
+judges a run by them, `checkpoint` is the stored state, `build` chooses device and implementation, `trained_model`
+serves fingerprinting and identification.
 """
