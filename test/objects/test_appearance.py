@@ -11,9 +11,11 @@ from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.figures.evidence import Evidence, draw_evidence
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
+from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.calibration import Calibration, calibrate
 from embodied_active_learning.objects.colours import colour_distance, colour_features
 from embodied_active_learning.objects.decision import FOUND, Decision
+from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.pose_search import propose, refine
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.similarity import similarity, stored_views
@@ -107,6 +109,20 @@ def test_limits_are_conformal_quantiles(error_rate, miss, look_alike):
     assert (limits.miss_limit, limits.look_alike_limit) == (miss, look_alike)
     assert limits.found_limit == max(miss, look_alike)
     assert limits.confidence(10.0) == 9 / 20
+
+
+def test_bare_place_shows_table_of_blank(views):
+    blank = BareTable(LEARNED.fingerprints[2], LEARNED.fingerprints, CAMERA)
+    found = blank.search(Mosaic(views, WORKSPACE, 0.02))
+    assert found.known
+    assert found.share >= blank.limit(0.05) >= 0.9
+    assert np.hypot(*(found.place - PLACE[:2])) > RED.radius + 0.02
+
+
+def test_bare_place_needs_table_even_if_blank_shows_an_object():
+    """The model may have placed its blank beside an object."""
+    beside = replace(LEARNED.fingerprints[0], kind=BLANK, name="blank-2")
+    assert BareTable(beside, (*LEARNED.fingerprints[1:], beside), CAMERA).limit(0.05) == 0.9
 
 
 def test_object_of_table_colour_has_problem_with_remedy():
