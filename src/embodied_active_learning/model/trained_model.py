@@ -90,7 +90,7 @@ class TrainedModel:
         return self._inference.decode(self.network, features).clamp_(0.0, 1.0).numpy(), log_std.exp().numpy()
 
     def reconstruction_errors(self, states: np.ndarray, images: np.ndarray) -> ReconstructionErrors:
-        """Measure how much the latents tell about N >= 2 views that the model was not trained on.
+        """Measure the benefit of the latents on N >= 2 views that the model was not trained on.
 
         Args:
             states: (N, 3).

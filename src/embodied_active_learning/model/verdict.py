@@ -12,7 +12,7 @@ HARMFUL = 2.0
 UNUSED, USEFUL = 0.2, 0.5
 """Latent contribution below which the latent is not used, and from which on it is useful."""
 ENOUGH_UPDATES = 1000
-"""Updates after which a latent that is still not used will not become useful by itself."""
+"""Updates after which a latent that is not used yet rarely becomes useful."""
 HIGH_ERGODIC_MEASURE = 0.2
 """[nat] Runs of the ergodic explorer end between 0.03 and 0.1."""
 
