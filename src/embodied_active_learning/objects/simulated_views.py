@@ -1,7 +1,8 @@
 """A fingerprint's own views as they would look elsewhere, and as other objects would look.
 
-The object's pixels are cut out by the mask, put on another table and lit differently. Light from another side cannot be
-simulated from images alone; instead a part of the luminance pattern is replaced by itself, turned. Look-alikes are made
+The object's pixels are cut out by the mask, put on another table and lit differently. Light from another side, that is,
+an object turned by a yaw, cannot be simulated from images alone: diffuse shading keeps the cosine of the yaw of its
+pattern, and instead of the rest, which depends on the shape, the pattern is added turned. Look-alikes are made
 of the same pixels: stretched, scaled, bent, mirrored or recoloured, or a plain shape in the object's mean colour. They
 are harder to tell apart than most real objects, because they share either colour or shape with it.
 """
@@ -29,8 +30,6 @@ _GAIN, _GRADIENT, _BALANCE = (-0.9, 0.4), 0.25, 0.08
 _GRADIENT_UNIT = 0.05
 _NOISE = (0.01, 0.05)
 """Range of the standard deviation of the noise, in features after the blur."""
-_KEPT_PATTERN = (0.2, 1.0)
-"""Range of the correlation of the luminance pattern with that of the stored view."""
 _TABLE_LUMINANCE, _TABLE_COLOUR, _TABLE_CONTRAST, _TABLE_WAVES = (-2.0, -0.1), 0.9, 0.3, (60.0, 400.0)
 """Ranges of a simulated table: log luminance, distance from grey, amplitude and wave number [rad/m] of a pattern."""
 _STRETCH, _SCALES, _BEND, _BEND_WAVES = (1.2, 1.5), (0.66, 1.5), 0.012, (0.06, 0.1)
@@ -52,7 +51,7 @@ class SimulatedViews:
         self._light = _draw_light(random)
         self._table = _draw_table(random)
         self._noise = random.uniform(*_NOISE)
-        self._kept = random.uniform(*_KEPT_PATTERN)
+        self._kept = np.cos(random.uniform(0.0, np.pi))
         self._turn = random.uniform(0.0, 360.0)
         self._mean = appearance.inside_features[appearance.central_view].mean(axis=0)
         self._source = self._draw_source()
