@@ -33,7 +33,7 @@ class BuildWithKernels(build_py):
         super().run()
         source = Path("src", NAME, "model", "native", "kernels.c")
         target = Path(self.build_lib, NAME, f"lib{NAME}_kernels.so")
-        options = ["-std=gnu11", "-O3", "-ffp-contract=fast", "-march=native", "-shared", "-fPIC"]
+        options = ["-std=gnu11", "-O2", "-ffp-contract=fast", "-march=native", "-shared", "-fPIC"]
         compiler = shutil.which("gcc") or shutil.which("cc")
         try:
             subprocess.run([compiler or "cc", *options, "-o", target, source], check=True, cwd=ROOT)
