@@ -63,8 +63,8 @@ def test_run_without_ros_gives_the_same_content(first, tmp_path):
 def recorded(path):
     """The recording of a session, which must have been closed, and hold the observations that were stored."""
     recording, session = Recording(path / "bags"), Session.open_read_only(path)
-    assert recording.unclosed == []
     found = list(recording.observations(session.config))
+    assert recording.warnings() == []
     with session.open_observations() as store:
         assert [item.image.data for item in found] == [image.tobytes() for image in store.images]
         assert [(item.state.x, item.state.y, item.state.theta) for item in found] == list(map(tuple, store.raw_states))
@@ -98,7 +98,7 @@ def test_finished_session_not_overwritten(first, tmp_path):
         ({"explorer": "ergodyc"}, "did you mean ergodic?"),
         ({"steps": 0}, "exploration/steps is 0"),
         ({"session": "../elsewhere"}, "session/name is '../elsewhere'"),
-        ({"session": "nothing-there", "resume": "true"}, "there is no session"),
+        ({"session": "nothing-there", "resume": "true"}, "to resume: known are"),
     ],
 )
 def test_invalid_arguments_refused_before_nodes_start(overrides, expected, tmp_path):

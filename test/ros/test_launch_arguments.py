@@ -7,7 +7,7 @@ import pytest
 
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.ros.launch_arguments import check_command_line, check_launch_arguments
-from launching import ROOT
+from launching import ROOT, environment
 
 LAUNCH = ROOT / "launch"
 
@@ -67,7 +67,8 @@ def test_roslaunch_refuses_unknown_arguments_and_accepts_an_apostrophe(tmp_path)
     root = tmp_path / "o'neill"
     root.mkdir()
     command = ["roslaunch", "--dump-params", "embodied_active_learning", "learn.launch", f"session_root:={root}"]
-    accepted = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    options = {"check": False, "capture_output": True, "text": True, "timeout": 60, "env": environment(tmp_path)}
+    accepted = subprocess.run(command, **options)
     assert str(root) in accepted.stdout.replace("''", "'"), accepted.stderr
-    refused = subprocess.run([*command, "step:=100"], check=False, capture_output=True, text=True, timeout=60)
+    refused = subprocess.run([*command, "step:=100"], **options)
     assert "unknown launch argument step:=: did you mean steps:=?" in refused.stderr + refused.stdout
