@@ -67,8 +67,8 @@ def test_roslaunch_refuses_unknown_arguments_and_accepts_an_apostrophe(tmp_path)
     root = tmp_path / "o'neill"
     root.mkdir()
     command = ["roslaunch", "--dump-params", "embodied_active_learning", "learn.launch", f"session_root:={root}"]
-    options = {"check": False, "capture_output": True, "text": True, "timeout": 60, "env": environment(tmp_path)}
-    accepted = subprocess.run(command, **options)
+    options = {"capture_output": True, "text": True, "timeout": 60, "env": environment(tmp_path)}
+    accepted = subprocess.run(command, check=False, **options)
     assert str(root) in accepted.stdout.replace("''", "'"), accepted.stderr
-    refused = subprocess.run([*command, "step:=100"], **options)
+    refused = subprocess.run([*command, "step:=100"], check=False, **options)
     assert "unknown launch argument step:=: did you mean steps:=?" in refused.stderr + refused.stdout
