@@ -21,9 +21,12 @@ from embodied_active_learning.errors import EmbodiedActiveLearningError, TaskCan
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
 from embodied_active_learning.ros.runtime.node import ShutdownRequestedError
 from embodied_active_learning.ros.runtime.services import advertise_service
+from embodied_active_learning.ros.runtime.timers import WallTimer
 
 _POLL_PERIOD = 0.1
 """Wall seconds between checks whether a task was cancelled, during `when_cancelled`."""
+_STATUS_PERIOD = 0.2
+"""Wall seconds between messages on the action's status topic: actionlib's default."""
 
 
 class Progress:
@@ -98,6 +101,10 @@ class TaskServer:
         self._keep_connection(service)
         self._actions = actionlib.ActionServer(name, action_class, self._accept, self._cancel, auto_start=False)
         self._actions.start()
+        # actionlib publishes the status by simulated time: it would pause with the arm, and end if the clock goes back.
+        if self._actions.status_timer is not None:
+            self._actions.status_timer.shutdown()
+        WallTimer(_STATUS_PERIOD, self._actions.publish_status)
         rospy.Subscriber(f"{name}/cancel", GoalID, self._cancel_service, queue_size=10)
 
     def _keep_connection(self, service: Any) -> None:
