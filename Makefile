@@ -1,7 +1,7 @@
 # make         install missing packages, build
 # make demo    learn, fingerprint and identify in PyBullet, headless, with the demo profile
 # make check   lint and unit tests in parallel, without a ROS master: about two minutes on two cores
-# make test    lint and all tests, with nodes: under fifteen minutes
+# make test    lint and all tests, with nodes
 # make docs    generated files of docs/ and config/, and API pages in build/docs
 # make bench   all benchmarks: tables and build/benchmarks.json
 .PHONY: all install build demo check test bench bench-docs lint format docs clean

@@ -12,9 +12,6 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.inference import make_inference
-from embodied_active_learning.model.metrics import reconstruction_errors
-from embodied_active_learning.model.objective import Batch
-from embodied_active_learning.model.verdict import ReconstructionErrors
 
 _PAIRS = 2048
 """Pairs of image and state per forward pass, so that activations stay in the cache."""
@@ -88,18 +85,6 @@ class TrainedModel:
             torch.from_numpy(np.ascontiguousarray(latents)), self._normalised(states)
         )
         return self._inference.decode(self.network, features).clamp_(0.0, 1.0).numpy(), log_std.exp().numpy()
-
-    def reconstruction_errors(self, states: np.ndarray, images: np.ndarray) -> ReconstructionErrors:
-        """Measure the benefit of the latents on N >= 2 views that the model was not trained on.
-
-        Args:
-            states: (N, 3).
-            images: (N, H, W, 3) uint8, in random order: each is also decoded from the latent of the one before.
-        """
-        latents, _ = self.encode(states, images)
-        views = Batch(self._normalised(states), torch.from_numpy(np.ascontiguousarray(images)))
-        with torch.inference_mode():
-            return reconstruction_errors(self.network, self._inference, torch.from_numpy(latents), views)
 
     def log_std(self, latents: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Return the log std (N, S) float32 of p(y | z, x) for N latents (N, L), each at all S states."""
