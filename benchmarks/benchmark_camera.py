@@ -25,9 +25,10 @@ from rosgraph_msgs.msg import Clock
 
 from embodied_active_learning.config import CameraConfig, Config
 from embodied_active_learning.ros import conversions
+from embodied_active_learning.simulation.placed_objects import Table
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.simulation import Simulation
-from embodied_active_learning.simulation.world import Table, World, load_world, world_names
+from embodied_active_learning.simulation.world import World, load_world, world_names
 
 YAWS_OVER_OBJECTS = (-1.0, 0.5)  # rad, of the poses centred on each object
 

@@ -31,10 +31,11 @@ from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.simulation.disturbance import Disturbance
+from embodied_active_learning.simulation.placed_objects import PlacedObject
 from embodied_active_learning.simulation.random_world import random_world
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS
-from embodied_active_learning.simulation.world import PlacedObject, World, build_world, load_world
+from embodied_active_learning.simulation.world import World, build_world, load_world
 from embodied_active_learning.simulation.world_settings import Disturbances, GeneratedTexture, Lighting
 
 CONDITIONS = (

@@ -18,9 +18,10 @@ import torch
 
 from embodied_active_learning.session import disk
 from embodied_active_learning.session.checkpoints import save_checkpoint, save_model
+from embodied_active_learning.session.conclusion import summarise
 from embodied_active_learning.session.fingerprints import save_fingerprints
 from embodied_active_learning.session.session import Session
-from embodied_active_learning.session.summary import summarise, write_summary
+from embodied_active_learning.session.summary import write_summary
 from sample_session import NAME, configuration, fingerprints, network, observation
 
 PARTS = ("observation", "row", "checkpoint", "model", "fingerprints", "summary")

@@ -19,6 +19,7 @@ from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.pipeline.exploration import ExplorationRun
 from embodied_active_learning.session.arm_states import ArmStates
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
+from embodied_active_learning.session.conclusion import summarise
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.identifications import (
     load_beliefs,
@@ -29,7 +30,7 @@ from embodied_active_learning.session.identifications import (
 from embodied_active_learning.session.planner_state import PlannerState, load_planner_state, save_planner_state
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
-from embodied_active_learning.session.summary import read_summary, summarise, write_summary
+from embodied_active_learning.session.summary import read_summary, write_summary
 from embodied_active_learning.simulation.table_picture import TablePicture
 from embodied_active_learning.simulation.world import load_world
 

@@ -25,12 +25,13 @@ from embodied_active_learning.session import disk as disk_module
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import is_leftover
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
+from embodied_active_learning.session.conclusion import summarise
 from embodied_active_learning.session.disk import free_bytes
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
 from embodied_active_learning.session.identifications import load_identification, save_identification
 from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.session import Session, check_session
-from embodied_active_learning.session.summary import read_summary, summarise, write_summary
+from embodied_active_learning.session.summary import read_summary, write_summary
 from sample_session import KINDS, NAME, configuration, fingerprints, make_sample, network, observation
 from small_disk import SmallDisk, enter_own_mounts
 

@@ -15,6 +15,7 @@ FILES = sorted(path for folder in ("rostest", "faults") for path in (ROOT / "tes
 AT_ONCE = 2
 """Number of files that run in parallel: most of the time their nodes wait."""
 TIMEOUT = 600  # s
+LOG_TAIL = 5000  # characters
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +39,16 @@ def _run(path, home):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_node_tests_pass(path, runs):
     run, home = runs[path].result()
-    results = [ElementTree.parse(found).getroot() for found in home.glob("test_results/*/rosunit-*.xml")]
-    cases = [case for root in results for case in root.iter("testcase")]
+    results = list(home.glob("test_results/*/rosunit-*.xml"))
+    unfinished = [found.stem for found in results if not found.stat().st_size]
+    assert not unfinished, f"{unfinished} ended before the results were written\n{run.stdout}{run.stderr}{_logs(home)}"
+    cases = [case for found in results for case in ElementTree.parse(found).getroot().iter("testcase")]
     failed = [case for case in cases if case.find("failure") is not None or case.find("error") is not None]
     report = "\n".join(f"{case.get('name')}: {''.join(case.itertext())}" for case in failed)
     assert run.returncode == 0, report or run.stdout + run.stderr
     assert cases, "the file ran no test"
+
+
+def _logs(home):
+    """Return the end of every log that the nodes have written."""
+    return "".join(f"\n{path}:\n{path.read_text()[-LOG_TAIL:]}" for path in sorted(home.rglob("*.log")))

@@ -18,8 +18,9 @@ from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.session import disk
 from embodied_active_learning.session.checksummed_yaml import checksummed_text, write_checksummed
+from embodied_active_learning.session.conclusion import conclude_launch, summarise
 from embodied_active_learning.session.session import Session, check_session, list_sessions
-from embodied_active_learning.session.summary import Summary, conclude_launch, read_summary, summarise, write_summary
+from embodied_active_learning.session.summary import Summary, read_summary, write_summary
 
 LARGEST_PROCESS = 2**22  # that Linux gives a number to
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}

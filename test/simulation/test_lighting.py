@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.simulation.placed_objects import Table
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS, generate_texture
-from embodied_active_learning.simulation.world import Lighting, Table, World
+from embodied_active_learning.simulation.world import Lighting, World
 from embodied_active_learning.simulation.world_settings import GeneratedTexture
 
 CENTRE = (0.475, 0.0)

@@ -21,8 +21,8 @@ from embodied_active_learning.model.learner import UpdateReport
 from embodied_active_learning.pipeline.exploration import ExplorationRun, exploration_row
 from embodied_active_learning.pipeline.progress import Progress
 from embodied_active_learning.pipeline.training import TrainingRun
+from embodied_active_learning.session.conclusion import conclude_launch
 from embodied_active_learning.session.session import Session
-from embodied_active_learning.session.summary import conclude_launch
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import load_world
 

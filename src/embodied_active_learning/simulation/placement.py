@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
-from typing import TYPE_CHECKING, Sequence
+from typing import Sequence
 
 import cv2
 import numpy as np
@@ -13,10 +13,8 @@ import numpy as np
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.geometry import metres_per_pixel
+from embodied_active_learning.simulation.placed_objects import PlacedObject, Table
 from embodied_active_learning.workspace import Workspace
-
-if TYPE_CHECKING:
-    from embodied_active_learning.simulation.world import PlacedObject, Table
 
 CLEARANCE = 0.05
 """Required distance (m) between the top of an object and the camera."""

@@ -16,10 +16,11 @@ from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.geometry import intrinsics, optical_rotation
 from embodied_active_learning.simulation.lighting import BLUR_SAMPLES, LightField
+from embodied_active_learning.simulation.placed_objects import PlacedObject
 from embodied_active_learning.simulation.placement import check_heights
 from embodied_active_learning.simulation.table_picture import TablePicture
 from embodied_active_learning.simulation.visual_mesh import write_visual
-from embodied_active_learning.simulation.world import PlacedObject, World
+from embodied_active_learning.simulation.world import World
 
 _NEAR = 0.01  # m
 Pose = Union[Sequence[float], np.ndarray]

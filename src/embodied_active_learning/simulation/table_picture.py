@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.simulation.assets import read_picture
+from embodied_active_learning.simulation.placed_objects import Table
 from embodied_active_learning.simulation.table_textures import generate_texture
-from embodied_active_learning.simulation.world import Table
 
 _FLOOR = (96, 94, 92)  # grey levels beyond the table's edge
 
