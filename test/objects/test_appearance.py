@@ -12,7 +12,7 @@ from embodied_active_learning.figures.evidence import Evidence, draw_evidence
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
 from embodied_active_learning.objects.bare_table import BareTable
-from embodied_active_learning.objects.calibration import Calibration, calibrate
+from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.colours import colour_distance, colour_features
 from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
@@ -95,20 +95,9 @@ def test_search_finds_pose_without_model(appearance, views):
 
 
 def test_true_views_exceed_most_look_alikes(appearance):
-    limits = calibrate(appearance, SETTINGS)
+    limits = calibrate(appearance, SETTINGS.trials)
     assert np.median(limits.true) > np.quantile(limits.false, 0.75)
-    np.testing.assert_array_equal(limits.true, calibrate(appearance, SETTINGS).true)
-
-
-@pytest.mark.parametrize(
-    ("error_rate", "miss", "look_alike"), [(0.05, 0.0, 19.0), (0.25, 4.0, 15.0), (0.04, -1.0, 1.0)]
-)
-def test_limits_are_conformal_quantiles(error_rate, miss, look_alike):
-    """With 19 similarities, a rate of 0.05 takes the extreme one, and a smaller rate cannot be guaranteed."""
-    limits = Calibration(np.arange(19.0), np.arange(1.0, 20.0), error_rate)
-    assert (limits.miss_limit, limits.look_alike_limit) == (miss, look_alike)
-    assert limits.found_limit == max(miss, look_alike)
-    assert limits.confidence(10.0) == 9 / 20
+    np.testing.assert_array_equal(limits.true, calibrate(appearance, SETTINGS.trials).true)
 
 
 def test_bare_place_shows_table_of_blank(views):
@@ -117,6 +106,14 @@ def test_bare_place_shows_table_of_blank(views):
     assert found.known
     assert found.share >= blank.limit(0.05) >= 0.9
     assert np.hypot(*(found.place - PLACE[:2])) > RED.radius + 0.02
+
+
+def test_bare_place_lies_in_workspace(views):
+    """The mosaic shows more of the table, because an object may stand on the border."""
+    mosaic = Mosaic(views, WORKSPACE, 0.02)
+    mosaic.features[mosaic.in_workspace] = 9.0
+    place = BareTable(LEARNED.fingerprints[2], LEARNED.fingerprints, CAMERA).search(mosaic).place
+    assert WORKSPACE.contains([*place, 0.0])
 
 
 def test_bare_place_needs_table_even_if_blank_shows_an_object():

@@ -59,15 +59,15 @@ def make_identification(sets=(LEARNED,), settings=SETTINGS, camera=CAMERA):
 
 
 @functools.lru_cache(maxsize=None)
-def calibrated(fingerprint, error_rate):
+def calibrated(fingerprint, trials):
     """Calibrate each fingerprint of the tests once."""
     appearance = Appearance(fingerprint, LEARNED.fingerprints, CAMERA)
-    return calibrate(appearance, replace(SETTINGS, error_rate=error_rate))
+    return calibrate(appearance, trials)
 
 
 @pytest.fixture(autouse=True)
 def _calibrate_once():
-    cached = lambda appearance, settings: calibrated(appearance.fingerprint, settings.error_rate)  # noqa: E731
+    cached = lambda appearance, trials: calibrated(appearance.fingerprint, trials)  # noqa: E731
     with mock.patch.object(search_target, "calibrate", cached):
         yield
 

@@ -37,6 +37,7 @@ from sample_fingerprints import CONFIG, make_fingerprint, make_set
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
 FILES = ("set.yaml", "model.safetensors", "object-1/fingerprint.safetensors")
+CHECKED = (*FILES, "object-1/calibration.safetensors")
 FACTS = ("session", "updates", "observations", "created")
 
 
@@ -77,6 +78,10 @@ def assert_same(found, expected):
     assert len(found.fingerprints) == len(expected.fingerprints)
     for one, other in zip(found.fingerprints, expected.fingerprints):
         assert (one.name, one.kind, one.importance) == (other.name, other.kind, other.importance)
+        assert (one.calibration is None) == (other.calibration is None)
+        if one.calibration is not None:
+            np.testing.assert_array_equal(one.calibration.true, other.calibration.true)
+            np.testing.assert_array_equal(one.calibration.false, other.calibration.false)
         for field in ARRAYS:
             array, wanted = getattr(one, field), getattr(other, field)
             assert (array.dtype, array.shape, array.tobytes()) == (wanted.dtype, wanted.shape, wanted.tobytes())
@@ -93,6 +98,21 @@ def test_set_round_trip_with_session_config(session):
     assert_same(found, make_set())
     assert found.config == CONFIG
     assert type(found.fingerprints) is tuple
+
+
+def test_calibration_of_other_rules_or_missing_is_none(session, monkeypatch):
+    path = save_fingerprints(session, make_set()) / "object-1" / "calibration.safetensors"
+    monkeypatch.setattr(fingerprints, "RULES", 0)
+    assert load_fingerprints(session).fingerprints[0].calibration is None
+    path.unlink()
+    assert load_fingerprints(session).fingerprints[0].calibration is None
+
+
+def test_invalid_calibration_is_rejected(session):
+    path = save_fingerprints(session, make_set()) / "object-1" / "calibration.safetensors"
+    write_tensors(path, "calibration", {"true": torch.ones(2, dtype=torch.float64)}, {"rules": fingerprints.RULES})
+    with pytest.raises(CorruptFileError, match="expected the tensors true and false"):
+        load_fingerprints(session)
 
 
 def test_empty_set_round_trip(session):
@@ -333,7 +353,7 @@ def full_disk_at(monkeypatch, function, step):
 FULL = r"fingerprints cannot be written \(.*\): free disk space, or make the folder writable; the previous set"
 
 
-@pytest.mark.parametrize(("function", "calls"), [("replace", 5), ("fsync", 9)])
+@pytest.mark.parametrize(("function", "calls"), [("replace", 6), ("fsync", 11)])
 def test_full_disk_keeps_old_set(session, monkeypatch, function, calls):
     save_fingerprints(session, numbered(1))
     for step in range(calls):
@@ -348,7 +368,7 @@ def test_full_disk_keeps_old_set(session, monkeypatch, function, calls):
 
 def test_disk_failure_after_commit_keeps_new_set(session, monkeypatch):
     save_fingerprints(session, numbered(1))
-    full_disk_at(monkeypatch, "fsync", 9)
+    full_disk_at(monkeypatch, "fsync", 11)
     with pytest.raises(SessionError, match=FULL):
         save_fingerprints(session, numbered(2))
     assert number_of(load_fingerprints(session)) == 2
@@ -400,7 +420,7 @@ def test_missing_or_special_file_is_rejected(session, name):
             load_fingerprints(session)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", CHECKED)
 def test_flipped_bits_are_detected_by_file(session, name):
     path = save_fingerprints(session, make_set()) / name
     content = path.read_bytes()
@@ -425,7 +445,7 @@ def refusal(session, expected):
     return []
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", CHECKED)
 def test_truncated_file_is_rejected(session, name):
     path = save_fingerprints(session, make_set()) / name
     content = path.read_bytes()
@@ -446,7 +466,7 @@ def test_damaged_newest_set_has_no_fallback(session):
         load_fingerprints(session)
 
 
-@pytest.mark.parametrize("name", FILES[1:])
+@pytest.mark.parametrize("name", CHECKED[1:])
 def test_file_of_another_kind_is_rejected(session, name):
     path = save_fingerprints(session, make_set()) / name
     write_tensors(path, "checkpoint", {"weight": torch.ones(1)}, {})
@@ -464,7 +484,7 @@ class Canary:
         return (os.mkdir, (str(self.path),))
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", CHECKED)
 @pytest.mark.parametrize("write", [pickle.dump, torch.save])
 def test_pickle_is_rejected_unexecuted(session, name, write):
     path, canary = save_fingerprints(session, make_set()) / name, session / "canary"

@@ -5,6 +5,7 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.limits import Calibration
 
 CONFIG = Config.from_dict({"camera": {"width": 9, "height": 8}, "model": {"latent_size": 2}})
 
@@ -20,6 +21,8 @@ def make_fingerprint(views=3, **fields):
         "latent_stds": np.ones((views, 2), np.float32),
         "importance": 0.25,
     }
+    if fields.get("kind", OBJECT) == OBJECT:
+        values["calibration"] = Calibration(np.linspace(0.3, 0.7, 5), np.linspace(-0.1, 0.5, 5))
     return Fingerprint(**{**values, **fields})
 
 

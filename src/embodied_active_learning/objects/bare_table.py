@@ -70,7 +70,7 @@ class BareTable:
             table = ((self._colours.distance(mosaic.features - change) < _KNOWN) & mosaic.seen).astype(np.float32)
             known = max(known, float(table[mosaic.inside].mean()))
             shares = np.maximum(shares, cv2.filter2D(table, -1, disc, borderType=cv2.BORDER_CONSTANT))
-        shares[~mosaic.inside] = -1.0
+        shares[~mosaic.in_workspace] = -1.0
         row, column = np.unravel_index(int(shares.argmax()), shares.shape)
         place = np.array([mosaic.x[column], mosaic.y[row]])
         return BarePlace(place, float(shares[row, column]), known >= _KNOWN_TABLE)

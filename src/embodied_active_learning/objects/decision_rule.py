@@ -90,24 +90,24 @@ class DecisionRule:
 
     def _judge(self, target: SearchTarget, candidate: Candidate, doubt: str) -> Decision:
         """Decide at a candidate pose."""
-        limits, value = target.calibration, candidate.similarity
-        if value >= limits.found_limit:
+        limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
+        if value >= limits.found:
             outcome = FOUND
-            reason = f"similarity {value:.2f}, limit {limits.found_limit:.2f}"
-        elif value >= limits.miss_limit:
+            reason = f"similarity {value:.2f}, limit {limits.found:.2f}"
+        elif value >= limits.miss:
             outcome = UNDECIDED
             reason = (
-                f"similarity {value:.2f}, but objects of its colour or shape reach {limits.look_alike_limit:.2f}: look "
+                f"similarity {value:.2f}, but objects of its colour or shape reach {limits.look_alike:.2f}: look "
                 "at the place, or take a fingerprint that shows more of what distinguishes it"
             )
         elif doubt:
             outcome, reason = UNDECIDED, f"best similarity {value:.2f}, but {doubt}"
         else:
             outcome = NOT_HERE
-            reason = f"best similarity {value:.2f}, limit {limits.miss_limit:.2f}"
+            reason = f"best similarity {value:.2f}, limit {limits.miss:.2f}"
         return replace(
             self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
-            confidence=limits.confidence(value),
+            confidence=target.calibration.confidence(value),
             residual=1.0 - value if len(candidate.views) else np.inf,
             views=len(candidate.views),
         )

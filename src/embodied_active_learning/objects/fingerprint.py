@@ -8,13 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from numbers import Real
-from typing import TYPE_CHECKING, Any, Dict, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Optional, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.naming import check_name, check_recorded_name
+from embodied_active_learning.objects.limits import Calibration
 
 if TYPE_CHECKING:
     import torch  # importing it takes a second, and only the type is needed here
@@ -45,6 +46,8 @@ class Fingerprint:
         latent_means: (V, L) float32 mean of q(z | state, image) of each view.
         latent_stds: (V, L) float32 standard deviation of the same.
         importance: Share of the importance samples in its cluster, 0 to 1 (0 for a blank).
+        calibration: From which the limits of the decision follow; None of a blank, of an object that cannot be
+            recognised, and of fingerprints stored without one.
 
     Raises:
         ObservationError: If a field is invalid.
@@ -59,6 +62,7 @@ class Fingerprint:
     latent_means: np.ndarray
     latent_stds: np.ndarray
     importance: float
+    calibration: Optional[Calibration] = None
 
     def __post_init__(self) -> None:
         """Check every field."""

@@ -5,6 +5,7 @@ Paper, Sec. "Object Identification" and appendix.
 
 from __future__ import annotations
 
+import logging
 from typing import List, Sequence, Tuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from embodied_active_learning.objects.matching import Matcher
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.workspace import Workspace
+
+LOG = logging.getLogger(__name__)
 
 _SAME_CAMERA = ("width", "height", "field_of_view", "distance")
 """Camera settings that must be equal in training and identification."""
@@ -58,6 +61,13 @@ class Identification:
             _check_camera(item, camera)
             if item.fingerprints:
                 self._groups.append(_make_group(item, workspace, settings))
+        missing = [target.label for target in self.targets if target.needs_calibration]
+        if self.by_views and missing:
+            LOG.warning(
+                "no stored limits for %s: computing them takes about a second each; call /fingerprint again to store "
+                "them",
+                ", ".join(missing),
+            )
 
     @property
     def targets(self) -> List[SearchTarget]:

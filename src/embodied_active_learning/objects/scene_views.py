@@ -57,7 +57,8 @@ class Mosaic:
         colours: (S, S, 3) uint8; row index along y.
         features: (S, S, 3).
         seen: (S, S) whether the pixel was in view.
-        inside: (S, S) whether it lies in the workspace, where an object may have its centre.
+        inside: (S, S) whether it lies in the workspace or its margin, where an object may have its centre.
+        in_workspace: (S, S) whether it lies in the workspace, where the camera can look straight down at it.
     """
 
     def __init__(self, views: SceneViews, workspace: Workspace, margin: float) -> None:
@@ -78,8 +79,10 @@ class Mosaic:
                 colours[pixels], seen[pixels] = views.colours(int(view), points[pixels])
         self.colours, self.seen = colours.reshape(size, size, 3), seen.reshape(size, size)
         self.features = colour_features(self.colours)
-        within = ((points >= lower - margin) & (points <= upper + margin)).all(axis=1)
-        self.inside = within.reshape(size, size)
+        self.inside, self.in_workspace = (
+            ((points >= lower - border) & (points <= upper + border)).all(axis=1).reshape(size, size)
+            for border in (margin, 0.0)
+        )
 
     @property
     def coverage(self) -> float:

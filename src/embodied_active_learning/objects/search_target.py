@@ -11,8 +11,9 @@ from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.beliefs import BeliefGrid
-from embodied_active_learning.objects.calibration import Calibration, calibrate
-from embodied_active_learning.objects.fingerprint import Fingerprint, FingerprintSet
+from embodied_active_learning.objects.calibration import calibrate
+from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.limits import Calibration
 from embodied_active_learning.objects.matching import Matches
 
 
@@ -49,10 +50,15 @@ class SearchTarget:
         """What the object looks like, learned when it is first needed."""
         return Appearance(self.fingerprint, self._set.fingerprints, self._set.config.camera)
 
+    @property
+    def needs_calibration(self) -> bool:
+        """Whether an object has no stored calibration: it cannot be recognised, or its file is older."""
+        return self.fingerprint.kind == OBJECT and self.fingerprint.calibration is None
+
     @cached_property
     def calibration(self) -> Calibration:
-        """The limits of its similarity, simulated when they are first needed."""
-        return calibrate(self.appearance, self._settings)
+        """The stored calibration; without one it is computed when it is first needed, which takes a second."""
+        return self.fingerprint.calibration or calibrate(self.appearance, self._settings.trials)
 
     @cached_property
     def bare_table(self) -> BareTable:

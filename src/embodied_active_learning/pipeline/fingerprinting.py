@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import List, Optional, Sequence, Union
 
 from embodied_active_learning.config import FingerprintConfig
 from embodied_active_learning.errors import ObservationError, SessionError
+from embodied_active_learning.objects.appearance import Appearance
+from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.clustering import find_objects
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
@@ -16,6 +19,8 @@ from embodied_active_learning.objects.stored_views import StoredViews
 from embodied_active_learning.session.fingerprints import save_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
+
+LOG = logging.getLogger(__name__)
 
 
 class FingerprintRun:
@@ -123,7 +128,7 @@ class FingerprintRun:
 
     def _fingerprints(self) -> Sequence[Fingerprint]:
         """Encode the views of every collection."""
-        fingerprints = []
+        fingerprints: List[Fingerprint] = []
         for name, cluster, collection in zip(self.names, self.clustering.clusters, self.collections):
             means, stds = self._trained.model.encode(collection.states, collection.images)
             fingerprints.append(
@@ -138,4 +143,14 @@ class FingerprintRun:
                     importance=cluster.share if cluster.kind == OBJECT else 0.0,
                 )
             )
-        return fingerprints
+        return [self._calibrated(item, fingerprints) for item in fingerprints]
+
+    def _calibrated(self, fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]) -> Fingerprint:
+        """Add its calibration to the fingerprint of an object that can be recognised; log why another one cannot."""
+        if fingerprint.kind != OBJECT:
+            return fingerprint
+        appearance = Appearance(fingerprint, fingerprints, self._config.camera)
+        if appearance.problem:
+            LOG.warning("%s will not be recognised elsewhere: %s", fingerprint.name, appearance.problem)
+            return fingerprint
+        return replace(fingerprint, calibration=calibrate(appearance, self._config.identification.trials))

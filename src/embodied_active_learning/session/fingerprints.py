@@ -12,7 +12,7 @@ import shutil
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Collection, Iterable, Iterator, List, Tuple
+from typing import Collection, Iterable, Iterator, List, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -24,6 +24,7 @@ from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import FileReader, open_plain, shown
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.limits import RULES, Calibration
 from embodied_active_learning.schema import build, required, to_plain
 from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import is_leftover, sync_folder, write_bytes, write_text
@@ -39,8 +40,10 @@ SET_FILE = "set.yaml"
 MODEL_FILE = "model.safetensors"
 FINGERPRINT_FILE = "fingerprint.safetensors"
 THUMBNAIL_FILE = "thumbnail.png"
+CALIBRATION_FILE = "calibration.safetensors"
 
-_KIND = "fingerprint"
+_KIND, _CALIBRATION_KIND = "fingerprint", "calibration"
+_SIMILARITIES = ("true", "false")
 _GENERATION = re.compile(r"[0-9]{6,}")
 _READER = FileReader(CorruptFileError, "restore it, or call /fingerprint again")
 _MODEL_READER = replace(_READER, limit=array_files.READER.limit)
@@ -65,6 +68,13 @@ class _FingerprintFacts:
     name: str = required("name of the fingerprint")
     kind: str = required("object or blank")
     importance: float = required("share of the importance samples")
+
+
+@dataclass(frozen=True)
+class _CalibrationFacts:
+    """Facts of a calibration file."""
+
+    rules: int = required("version of the similarity and of its calibration")
 
 
 def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
@@ -174,6 +184,9 @@ def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
     facts = {"name": fingerprint.name, "kind": fingerprint.kind, "importance": float(fingerprint.importance)}
     write_tensors(folder / FINGERPRINT_FILE, _KIND, tensors, facts)
     _refuse_large(folder / FINGERPRINT_FILE, _FINGERPRINT_READER, "keep fewer views")
+    if fingerprint.calibration is not None:
+        similarities = {name: torch.from_numpy(getattr(fingerprint.calibration, name)) for name in _SIMILARITIES}
+        write_tensors(folder / CALIBRATION_FILE, _CALIBRATION_KIND, similarities, {"rules": RULES})
     _, png = cv2.imencode(".png", np.ascontiguousarray(fingerprint.thumbnail[..., ::-1]))
     write_bytes(folder / THUMBNAIL_FILE, png.tobytes())
 
@@ -217,7 +230,23 @@ def _read_fingerprint(session_path: Path, path: Path) -> Fingerprint:
         facts = build(_FingerprintFacts, stored, path, CorruptFileError, _READER.remedy)
         _READER.expect(path, stored, {"name": path.parent.name})
         _check_names(path, tensors)
-        return Fingerprint(**to_plain(facts), **{field: tensor.numpy() for field, tensor in tensors.items()})
+        arrays = {field: tensor.numpy() for field, tensor in tensors.items()}
+        calibration = _read_calibration(session_path, path.parent / CALIBRATION_FILE)
+        return Fingerprint(**to_plain(facts), **arrays, calibration=calibration)
+
+
+def _read_calibration(session_path: Path, path: Path) -> Optional[Calibration]:
+    """Return the stored calibration; None without a file, or if it is of other rules."""
+    if not os.path.lexists(path):
+        return None
+    _check_inside(session_path, path)
+    with _damage_in(path):
+        tensors, facts = read_tensors(path, _CALIBRATION_KIND, _READER)
+        if build(_CalibrationFacts, facts, path, CorruptFileError, _READER.remedy).rules != RULES:
+            return None
+        if sorted(tensors) != sorted(_SIMILARITIES):
+            raise _READER.refuse(f"{path}:", f"expected the tensors {' and '.join(_SIMILARITIES)}")
+        return Calibration(**{name: tensor.numpy() for name, tensor in tensors.items()})
 
 
 def _check_names(path: Path, tensors: Collection[str]) -> None:
