@@ -33,6 +33,7 @@ class DeadPlannerTest(unittest.TestCase):
         cls.one_step = config.exploration.step_duration * speeds
         cls.lease = config.arm.commander_timeout
         cls.health = {}
+        cls.arm_reports = 0
         cls.states = []
         cls.observed = -1
         rospy.Subscriber("/diagnostics", DiagnosticArray, cls.on_diagnostics)
@@ -53,7 +54,9 @@ class DeadPlannerTest(unittest.TestCase):
 
     @classmethod
     def on_diagnostics(cls, message):
-        cls.health.update({status.name.split(": ")[-1]: status for status in message.status})
+        received = {status.name.split(": ")[-1]: status for status in message.status}
+        cls.health.update(received)
+        cls.arm_reports += "arm" in received
 
     @classmethod
     def on_observation(cls, message):
@@ -90,10 +93,16 @@ class DeadPlannerTest(unittest.TestCase):
 
     def check_arm_stops(self, since):
         """Check that the arm stops within the distance of the current steps and of braking."""
+        self.wait_for_new_arm_report()
         self.wait_for(lambda: self.arm_values().get("commander") == "none", "the arm still has a commander")
         self.wait_for(lambda: np.all(np.abs(self.states[-1][1]) <= AT_REST), "the arm still moves")
         travelled = np.ptp([state for state, _ in self.states[since:]], axis=0)
         self.assertTrue(np.all(travelled <= CURRENT_STEPS * self.one_step + BRAKING), travelled)
+
+    def wait_for_new_arm_report(self):
+        """Wait for the second report from now on: the first may have been under way before."""
+        before = self.arm_reports
+        self.wait_for(lambda: self.arm_reports > before + 1, "the arm reports no status")
 
     def arm_values(self):
         return {pair.key: pair.value for pair in self.health["arm"].values}
@@ -114,6 +123,7 @@ class DeadPlannerTest(unittest.TestCase):
 
     def test_arm_stops_if_planner_hangs_and_is_commanded_again(self):
         self.planner.freeze()
+        self.addCleanup(self.planner.thaw)
         since = len(self.states) - 1
         self.check_another_node_is_rejected()
         self.check_arm_stops(since)
