@@ -14,9 +14,11 @@ from typing import Any, Dict, Optional, Tuple
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.hardware_config import (
-    REAL,
+    FRANKA,
+    REAL_ROBOTS,
     RECORDED,
     SIMULATED,
+    VELOCITY_SERVICE,
     ArmConfig,
     CameraConfig,
     FrankaConfig,
@@ -27,7 +29,17 @@ from embodied_active_learning.registry import EXPLORERS, MEASURES
 from embodied_active_learning.schema import build, check_keys, nearest, setting, to_plain
 from embodied_active_learning.workspace import STATE_NAMES
 
-__all__ = ["REAL", "RECORDED", "SIMULATED", "ArmConfig", "CameraConfig", "FrankaConfig", "WorkspaceConfig"]
+__all__ = [
+    "FRANKA",
+    "REAL_ROBOTS",
+    "RECORDED",
+    "SIMULATED",
+    "VELOCITY_SERVICE",
+    "ArmConfig",
+    "CameraConfig",
+    "FrankaConfig",
+    "WorkspaceConfig",
+]
 _DIMENSIONS = len(STATE_NAMES)
 _PROFILE_READER = FileReader(ConfigError, "a profile has sections of keys as in config/default.yaml", follow=True)
 

@@ -9,7 +9,8 @@ from typing import Tuple
 from embodied_active_learning.schema import setting
 from embodied_active_learning.workspace import STATE_NAMES, Workspace
 
-SIMULATED, REAL, RECORDED = ROBOTS = ("pybullet", "franka", "recording")
+SIMULATED, FRANKA, VELOCITY_SERVICE, RECORDED = ROBOTS = ("pybullet", "franka", "velocity_service", "recording")
+REAL_ROBOTS = (FRANKA, VELOCITY_SERVICE)
 _DIMENSIONS = len(STATE_NAMES)
 
 
@@ -71,7 +72,7 @@ class SimulationConfig:
 
 @dataclass(frozen=True)
 class FrankaConfig:
-    """A real Panda under franka_ros: mounting, contact limits and recovery."""
+    """A real Panda: mounting, contact limits and recovery."""
 
     arm_id: str = setting("panda", "prefix of the robot's frames and joints", choices=("panda", "fr3"))
     table_height: float = setting(0.0, "height of the table surface in the base frame", "m", -1.0, 1.0)

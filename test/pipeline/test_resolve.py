@@ -103,9 +103,26 @@ def test_invalid_bringup_is_rejected(tmp_path, robot, bringup, robot_ip, expecte
         check_bringup(config, bringup, robot_ip)
 
 
-@pytest.mark.parametrize(("robot", "bringup"), [("pybullet", "all"), ("franka", "nodes"), ("recording", "none")])
+@pytest.mark.parametrize(
+    ("robot", "bringup"),
+    [("pybullet", "all"), ("franka", "nodes"), ("velocity_service", "all"), ("recording", "none")],
+)
 def test_address_is_required_only_to_connect(tmp_path, robot, bringup):
     check_bringup(resolve("demo", override(tmp_path, arm__robot=robot)), bringup, "")
+
+
+def test_other_arm_id_than_the_profile_is_rejected(tmp_path):
+    lab = tmp_path / "lab.yaml"
+    lab.write_text("franka: {arm_id: fr3}\n")
+    config = resolve("demo", override(tmp_path, arm__robot="velocity_service"), str(lab))
+    check_bringup(config, "nodes", "", "fr3")
+    with pytest.raises(ConfigError, match="give arm_id:=fr3"):
+        check_bringup(config, "nodes", "", "panda")
+
+
+def test_velocity_service_uses_the_real_robot_profile(tmp_path):
+    config = resolve("demo", override(tmp_path, arm__robot="velocity_service"))
+    assert config.arm.max_turn_rate == resolve("demo", override(tmp_path, arm__robot="franka")).arm.max_turn_rate
 
 
 def test_resumed_session_keeps_robot_settings(tmp_path):

@@ -102,3 +102,11 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
     assert at_robot == {"franka_arm", "camera_pipeline"}
     assert {places["trainer"], places["ergodic_planner"], places["monitor"]} == {"10.77.0.2"}
     assert not config.params["/use_sim_time"].value
+
+
+@pytest.mark.parametrize("bringup", ["all", "nodes"])
+def test_velocity_service_starts_its_adapter_and_no_driver(bringup):
+    config = ROSLaunchConfig()
+    path = next(path for path in LAUNCH if path.stem == "arm")
+    XmlLoader().load(str(path), config, argv=["robot:=velocity_service", f"bringup:={bringup}"], verbose=False)
+    assert {node.name for node in config.nodes} == {"velocity_service_arm", "camera_pipeline"}

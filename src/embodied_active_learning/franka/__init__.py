@@ -1,1 +1,1 @@
-"""Motion of a real Panda under franka_ros, without ROS: set-points, readiness and the camera's mount."""
+"""Motion of a real Panda without ROS: set-points, readiness and the camera's mount."""

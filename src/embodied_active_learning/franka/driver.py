@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import Any, Callable, Dict, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.arm_requests import checked_duration, checked_pose, checked_velocity
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import Config, FrankaConfig
 from embodied_active_learning.errors import (
     ArmFailedError,
     ArmNotReadyError,
@@ -23,11 +23,11 @@ from embodied_active_learning.errors import (
     ObservationError,
 )
 from embodied_active_learning.franka.explanation import why_not_ready
-from embodied_active_learning.franka.motions import GoTo, Motion, Move, Retreat
+from embodied_active_learning.franka.motions import GoTo, Motion, Move, Retreat, StopSignal
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.readiness import Readiness
 from embodied_active_learning.franka.report import Condition, Report
-from embodied_active_learning.franka.set_points import SetPointStream
+from embodied_active_learning.franka.set_points import SetPointStream, Tracking
 from embodied_active_learning.franka.start_check import require_startable
 from embodied_active_learning.franka.state_history import StateHistory
 
@@ -42,17 +42,6 @@ _NEEDS_PERSON = (Condition.USER_STOPPED, Condition.GUIDED, Condition.HELD)
 _UNKNOWN_MOTION = (Condition.NO_STATE, Condition.STALE, Condition.UNUSABLE)
 
 
-class StopSignal(Protocol):
-    """Set when a node stops the arm during a command."""
-
-    @property
-    def by(self) -> str:
-        """Name of that node."""
-
-    def is_set(self) -> bool:
-        """Whether the command must end."""
-
-
 class Reached(NamedTuple):
     """The measured state at the end of a command."""
 
@@ -65,14 +54,24 @@ class Reached(NamedTuple):
 class FrankaDriver:
     """Moves the arm for one command at a time, while other threads call update_state and tick."""
 
-    def __init__(self, config: Config, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        config: Config,
+        clock: Callable[[], float] = time.monotonic,
+        readiness: Optional[Readiness] = None,
+        explain: Callable[[Readiness, FrankaConfig], str] = why_not_ready,
+        stopping: Callable[[], Motion] = Retreat,
+    ) -> None:
+        """Readiness, explain (why not ready) and stopping: of another interface than franka_ros. clock: in s."""
         self._config = config
         self._clock = clock
         self._mount = CameraMount.from_config(config)
         self._history = StateHistory(config)
         self._stream = SetPointStream(config)
         self._changed = threading.Condition()
-        self._readiness = Readiness(config.franka, clock)
+        self._readiness = readiness or Readiness(config.franka, clock)
+        self._explain = explain
+        self._stopping = stopping
         self._report = Report()
         self._received_at: Optional[float] = None
         self._stamp = 0.0
@@ -150,6 +149,14 @@ class FrankaDriver:
             finally:
                 self._changed.notify_all()
 
+    def tracking(self) -> Optional[Tracking]:
+        """Return the newest set-point and the pose that follows it; None while no set-point may be sent."""
+        with self._changed:
+            set_point, measured = self._stream.set_point, self._history.pose
+            if set_point is None or measured is None:
+                return None
+            return Tracking(set_point, self._stream.velocity, measured)
+
     def move(self, velocity: Sequence[float], duration: float, stop: StopSignal) -> Reached:
         """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s of wall time] within the limits -> the state then.
 
@@ -202,7 +209,7 @@ class FrankaDriver:
         Raises ArmFailedError if the arm does not come to rest, or this cannot be verified.
         """
         with self._changed:
-            motion = self._motion = Retreat()
+            motion = self._motion = self._stopping()
             try:
                 self._wait_for_rest()
             finally:
@@ -292,7 +299,7 @@ class FrankaDriver:
         return self._readiness
 
     def _why_not_ready(self) -> str:
-        return why_not_ready(self._readiness, self._config.franka)
+        return self._explain(self._readiness, self._config.franka)
 
     def _begin(self, motion: Motion) -> None:
         """Start a motion. Raises ArmNotReadyError, or ArmStoppedError if a person is needed."""
@@ -307,7 +314,7 @@ class FrankaDriver:
     def _wait(self, motion: Motion, stop: StopSignal, until: float) -> None:
         """Wait until the next tick or state. Raises the error that has ended the motion."""
         if stop.is_set():
-            self._motion = Retreat()
+            self._motion = self._stopping()
             raise ArmStoppedError(f"motion aborted: the arm was stopped by {stop.by}")
         if motion.aborted_by:
             message = f"motion aborted: {motion.aborted_by}"

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Callable, List, Sequence
+from typing import Callable, List, Protocol, Sequence
 
 from embodied_active_learning.franka.mount import CameraPose
 from embodied_active_learning.franka.set_points import SetPointStream, Step
+
+
+class StopSignal(Protocol):
+    """Set when a node stops the arm during a command."""
+
+    @property
+    def by(self) -> str:
+        """Name of that node."""
+
+    def is_set(self) -> bool:
+        """Whether the command must end."""
 
 
 class Motion:

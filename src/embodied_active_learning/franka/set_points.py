@@ -26,6 +26,14 @@ class Step(NamedTuple):
     pulled: bool
 
 
+class Tracking(NamedTuple):
+    """A set-point with its velocity (3,) [m/s, m/s, rad/s], and the measured pose that has to follow it."""
+
+    set_point: CameraPose
+    velocity: Tuple[float, ...]
+    measured: CameraPose
+
+
 class SetPointStream:
     """Integrates planar velocities into set-points, with the limits of speed, acceleration and workspace.
 
@@ -38,12 +46,7 @@ class SetPointStream:
     def __init__(self, config: Config) -> None:
         franka = config.franka
         self._limits = MotionLimits.from_config(config, _MARGIN)
-        self._level_limits = MotionLimits(
-            _REST,
-            _REST,
-            (_LEVEL_SPEED, _LEVEL_TURN_RATE, _LEVEL_TURN_RATE),
-            (_LEVEL_ACCELERATION, _LEVEL_TURN_ACCELERATION, _LEVEL_TURN_ACCELERATION),
-        )
+        self._level_limits = level_limits()
         self._leads = (franka.max_lead, franka.max_lead, franka.max_turn_lead)
         self._level_leads = (franka.max_lead, franka.max_turn_lead, franka.max_turn_lead)
         self._planar: List[float] = []
@@ -149,6 +152,16 @@ class SetPointStream:
             [at - lead for at, lead in zip(middle, self._leads)],
             [at + lead for at, lead in zip(middle, self._leads)],
         )
+
+
+def level_limits() -> MotionLimits:
+    """Return the limits of corrections of height [m] and of tilt about x and y [rad]."""
+    return MotionLimits(
+        _REST,
+        _REST,
+        (_LEVEL_SPEED, _LEVEL_TURN_RATE, _LEVEL_TURN_RATE),
+        (_LEVEL_ACCELERATION, _LEVEL_TURN_ACCELERATION, _LEVEL_TURN_ACCELERATION),
+    )
 
 
 def _common(low: float, high: float, inner_low: float, inner_high: float) -> Tuple[float, float]:

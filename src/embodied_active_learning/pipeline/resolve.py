@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, Dict, Mapping, Optional, Sequence
 
 from embodied_active_learning.config import (
-    REAL,
+    FRANKA,
+    REAL_ROBOTS,
     RECORDED,
     SIMULATED,
     Config,
@@ -114,16 +115,21 @@ def _changes(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
     return changes
 
 
-def check_bringup(config: Config, bringup: str, robot_ip: str) -> None:
+def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "") -> None:
     """Check the launch arguments about starting the arm. Raises ConfigError."""
     if bringup not in BRINGUPS:
         raise ConfigError(f"bringup is {shown(bringup)}: expected one of {', '.join(BRINGUPS)}")
     if config.arm.robot == RECORDED and bringup != "none":
         raise ConfigError("arm/robot is recording: use bringup:=none")
-    if config.arm.robot == REAL and bringup == "all" and not given(robot_ip):
+    if config.arm.robot == FRANKA and bringup == "all" and not given(robot_ip):
         raise ConfigError(
             "robot_ip is missing: give the address of the Panda's controller, such as robot_ip:=172.16.0.2, or "
             "bringup:=nodes if franka_ros and the camera driver are running"
+        )
+    if config.arm.robot in REAL_ROBOTS and arm_id not in ("", config.franka.arm_id):
+        raise ConfigError(
+            f"arm_id is {shown(arm_id)}, but the robot profile has franka/arm_id {config.franka.arm_id}: give "
+            f"arm_id:={config.franka.arm_id}, or correct the robot profile"
         )
 
 
@@ -145,8 +151,8 @@ def _base(
         if path.is_dir():
             stored = Session.open_read_only(path).config.to_dict()
     base = stored if stored and not profile else merge(stored, load_profile(find_profile(profile or "default", folder)))
-    if not robot_profile and not stored and given.arm.robot == REAL:
-        robot_profile = REAL
+    if not robot_profile and not stored and given.arm.robot in REAL_ROBOTS:
+        robot_profile = FRANKA
     return merge(base, load_profile(find_profile(robot_profile, folder))) if robot_profile else base
 
 

@@ -32,6 +32,12 @@ CONTROLLER_LOAD = "controller_manager/load_controller"
 CONTROLLER_UNLOAD = "controller_manager/unload_controller"
 CONTROLLER_SWITCH = "controller_manager/switch_controller"
 
+# Names of an arm with velocity service, the paper's hardware interface.
+VELOCITY_START = "klerg_start_pose"
+VELOCITY_COMMAND = "klerg_cmd"
+END_EFFECTOR_POSE = "ee_pose"
+VELOCITY_STEP = "dt"
+
 TRAINER_OBSERVE = "trainer/observe"
 TRAINER_ENTROPY = "trainer/entropy"
 TRAINER_ENCODE = "trainer/encode"

@@ -8,7 +8,7 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from embodied_active_learning.config import REAL, Config
+from embodied_active_learning.config import REAL_ROBOTS, Config
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.simulation.panda_body import PandaBody
@@ -18,6 +18,18 @@ GRID = (5, 5, 3)
 """Number of poses tried along x, y and theta. Close to the base, limits are reached in the middle of an edge first."""
 MIN_MARGIN = 0.05
 """Distance of a joint from its limit [rad] below which the arm may stop during a run."""
+_FR3_LIMITS = np.array(
+    [
+        (-2.7437, 2.7437),
+        (-1.7837, 1.7837),
+        (-2.9007, 2.9007),
+        (-3.0421, -0.1518),
+        (-2.8065, 2.8065),
+        (0.5445, 4.5169),
+        (-3.0159, 3.0159),
+    ]
+)
+"""(7, 2): lower and upper limit of each joint [rad], from the manufacturer; the kinematics are the Panda's."""
 _TOLERANCE = 1e-5  # m, rad
 _MAX_ITERATIONS = 100
 _MAX_JOINT_STEP = 0.5  # rad
@@ -37,15 +49,17 @@ class Reach(NamedTuple):
 
 
 def find_reach(config: Config, flange_to_end_effector: Optional[np.ndarray] = None) -> Reach:
-    """Solve the inverse kinematics of the simulated Panda on a grid over the workspace at camera/distance.
+    """Solve the inverse kinematics of the arm on a grid over the workspace at camera/distance.
 
     Args:
         config: a simulated arm has its camera at the flange, a real one as mounted.
         flange_to_end_effector: (4, 4), F_T_EE of franka_states; None for the identity.
     """
     mount = CameraMount((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), config.camera.distance)
-    if config.arm.robot == REAL:
+    limits = JOINT_LIMITS[:, :2]
+    if config.arm.robot in REAL_ROBOTS:
         mount = CameraMount.from_config(config)
+        limits = _FR3_LIMITS if config.franka.arm_id == "fr3" else limits
     to_flange = np.eye(4) if flange_to_end_effector is None else np.linalg.inv(flange_to_end_effector)
     box = config.workspace.box()
     axes = (np.linspace(low, high, count) for low, high, count in zip(box.lower, box.upper, GRID))
@@ -56,11 +70,11 @@ def find_reach(config: Config, flange_to_end_effector: Optional[np.ndarray] = No
             pose = (float(x), float(y), float(theta))
             end_effector = np.eye(4)
             end_effector[:3, 3], end_effector[:3, :3] = mount.end_effector(CameraPose(pose, 0.0, (0.0, 0.0)))
-            joints = solve(body, end_effector @ to_flange)
+            joints = solve(body, end_effector @ to_flange, limits)
             if joints is None:
                 unreachable.append(pose)
                 continue
-            margins = np.minimum(joints - JOINT_LIMITS[:, 0], JOINT_LIMITS[:, 1] - joints)
+            margins = np.minimum(joints - limits[:, 0], limits[:, 1] - joints)
             if margins.min() < reach.margin:
                 reach = Reach((), float(margins.min()), int(margins.argmin()) + 1, pose)
     finally:
@@ -85,15 +99,18 @@ def check_reach(reach: Reach) -> CheckResult:
     return ok("reach", message)
 
 
-def solve(body: PandaBody, target: np.ndarray) -> Optional[np.ndarray]:
-    """Return joint positions (7,) that bring the flange to a pose (4, 4); None without a solution within the limits."""
+def solve(body: PandaBody, target: np.ndarray, limits: np.ndarray) -> Optional[np.ndarray]:
+    """Return joint positions (7,) that bring the flange to a pose (4, 4); None without a solution within limits (7, 2).
+
+    All in m, rad.
+    """
     joints = HOME.copy()
     for _ in range(_MAX_ITERATIONS):
         body.place(joints)
         position, orientation, _ = body.optical_frame()
         twist = np.concatenate([target[:3, 3] - position, _rotation_error(np.array(orientation), target[:3, :3])])
         if np.abs(twist).max() < _TOLERANCE:
-            inside = (JOINT_LIMITS[:, 0] <= joints) & (joints <= JOINT_LIMITS[:, 1])
+            inside = (limits[:, 0] <= joints) & (joints <= limits[:, 1])
             return joints if inside.all() else None
         step = joint_velocities(body.jacobian(joints), twist, joints)
         joints += step * min(1.0, _MAX_JOINT_STEP / np.abs(step).max())

@@ -7,7 +7,7 @@ from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.config import REAL, Config
+from embodied_active_learning.config import REAL_ROBOTS, Config
 from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
 from embodied_active_learning.ros.camera.v4l2 import set_command
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
@@ -133,7 +133,7 @@ def check_camera_pose(
         config: configuration of the arm.
     """
     name, franka = "camera pose", config.franka
-    height = config.camera.distance + (franka.table_height if config.arm.robot == REAL else 0.0)
+    height = config.camera.distance + (franka.table_height if config.arm.robot in REAL_ROBOTS else 0.0)
     height_error, tilt = position[2] - height, math.acos(max(-1.0, min(1.0, -optical_axis[2])))
     state = (position[0], position[1], theta)
     message = (

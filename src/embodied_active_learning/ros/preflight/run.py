@@ -11,7 +11,16 @@ from typing import Any, Callable, List, Optional, Sequence, Tuple, Union
 import rosgraph
 import rospy
 
-from embodied_active_learning.config import REAL, RECORDED, SIMULATED, Config, find_profile, load_profile, merge
+from embodied_active_learning.config import (
+    FRANKA,
+    REAL_ROBOTS,
+    RECORDED,
+    SIMULATED,
+    Config,
+    find_profile,
+    load_profile,
+    merge,
+)
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.config_check import require_matching_config
@@ -26,7 +35,7 @@ from embodied_active_learning.simulation.resources import PACKAGE, package_folde
 _COMMON_PACKAGES = dict.fromkeys(("torch", "cv2", "pybullet", "tf2_ros"), "make install")
 PACKAGES = {
     SIMULATED: _COMMON_PACKAGES,
-    REAL: {
+    FRANKA: {
         **_COMMON_PACKAGES,
         "actionlib": "apt-get install ros-noetic-actionlib",
         "franka_msgs": "apt-get install ros-noetic-franka-ros",
@@ -94,7 +103,7 @@ def run(arguments: List[str], robot_profile: str, seconds: float, write: Callabl
     except Exception as invalid:
         report.add(error("configuration", str(invalid), "no node starts with it", _READ_MESSAGE))
     if config is not None:
-        if config.arm.robot == REAL:
+        if config.arm.robot in REAL_ROBOTS:
             names.use_arm_id(config.franka.arm_id)
         check_computer(report, config)
         if not problem:
@@ -120,7 +129,7 @@ def find_config(robot_profile: str, has_master: bool) -> Tuple[Config, List[Chec
     folder = package_folder(PACKAGE) / "config"
     profile = load_profile(find_profile("default", folder))
     if robot_profile:
-        profile = merge(merge(profile, load_profile(find_profile(robot_profile, folder))), {"arm": {"robot": REAL}})
+        profile = merge(merge(profile, load_profile(find_profile(robot_profile, folder))), {"arm": {"robot": FRANKA}})
     state = "is not set" if system_config is None else "belongs to a replay, which has no arm"
     result = error(
         "configuration",
@@ -148,7 +157,7 @@ def check_match(config: Config, values: Any) -> CheckResult:
 
 def check_computer(report: Report, config: Config) -> None:
     """Run the checks that need no master."""
-    required = PACKAGES[REAL if config.arm.robot == REAL else SIMULATED]
+    required = PACKAGES.get(config.arm.robot, _COMMON_PACKAGES)
     missing = [name for name in required if importlib.util.find_spec(name) is None]
     device, cores = config.training.device, len(os.sched_getaffinity(0))
     path_python = shutil.which("python3") or ""
@@ -168,11 +177,11 @@ def check_system(report: Report, config: Config, seconds: float) -> None:
         reason = "none of its parts can be checked"
         report.add(error("system", f"cannot be observed: {problem!r}", reason, _READ_MESSAGE))
         return
-    real = config.arm.robot == REAL
+    real = config.arm.robot in REAL_ROBOTS
     report.run("clock", system.clock)
     report.run("addresses", system.addresses)
     report.run("stale parameters", system.stale_parameters)
-    if real:
+    if config.arm.robot == FRANKA:
         report.run("robot state", system.robot_state)
         report.run("controllers", system.controllers)
     report.run("arm state", system.arm_state)

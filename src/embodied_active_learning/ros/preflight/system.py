@@ -12,7 +12,7 @@ import rospy
 import tf2_ros
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from embodied_active_learning.config import REAL, SIMULATED, Config
+from embodied_active_learning.config import FRANKA, REAL_ROBOTS, SIMULATED, VELOCITY_SERVICE, Config
 from embodied_active_learning.errors import ObservationError, RobotError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
@@ -45,6 +45,7 @@ PARAMETERS = (
     names.FAILURE_PARAMETER,
     "pybullet_arm/stopped_by",
     "franka_arm/stopped_by",
+    "velocity_service_arm/stopped_by",
     "ergodic_planner/paused_by",
     "fingerprinter/has_paused_planner",
 )
@@ -52,7 +53,8 @@ PARAMETERS = (
 _SERVICE_TIMEOUT = 3.0  # s of wall time
 _START = {
     SIMULATED: "roslaunch embodied_active_learning learn.launch stay:=true",
-    REAL: "roslaunch embodied_active_learning robot.launch robot_ip:=...",
+    FRANKA: "roslaunch embodied_active_learning robot.launch robot_ip:=...",
+    VELOCITY_SERVICE: "roslaunch embodied_active_learning learn.launch robot:=velocity_service stay:=true",
 }
 
 
@@ -62,8 +64,8 @@ class System:
     def __init__(self, config: Config, seconds: float) -> None:
         """Observe topics and tf for `seconds` of wall time; less for a simulated arm, which may rest."""
         self._config = config
-        self._real = config.arm.robot == REAL
-        self._start = _START[REAL if self._real else SIMULATED]
+        self._real = config.arm.robot in REAL_ROBOTS
+        self._start = _START.get(config.arm.robot, _START[SIMULATED])
         self._graph = read_graph()
         self._topics = {key: TopicMonitor(*topic, self._graph) for key, topic in self._topic_types().items()}
         self._tf = TfMonitor()
@@ -80,7 +82,7 @@ class System:
             return topics
         compressed = rospy.get_param("camera_pipeline/transport", "raw") == "compressed"
         topics["camera"] = (names.USB_CAM_COMPRESSED, CompressedImage) if compressed else (names.USB_CAM_IMAGE, Image)
-        if franka_interface is not None:
+        if self._config.arm.robot == FRANKA and franka_interface is not None:
             topics["robot"] = (names.FRANKA_STATES, franka_interface.FrankaState)
         return topics
 

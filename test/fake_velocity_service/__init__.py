@@ -1,0 +1,1 @@
+"""A stand-in for the paper's velocity service, for tests."""
