@@ -30,31 +30,39 @@ class Progress:
         return (self.updates + self.step) / (self.updates_planned + self.steps)
 
 
-class ProgressLine:
-    """Formats progress, with the remaining time estimated from the last minutes."""
+class TimeLeft:
+    """Estimates the remaining time from the last reports of the completed share."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, window: int = 24) -> None:
         self._clock = clock
         self._recent: Deque[Tuple[float, float]] = deque(maxlen=window)
 
+    def estimate(self, share: float) -> float:
+        """Return the seconds left at a completed share (0 to 1); NaN while there was no progress."""
+        self._recent.append((self._clock(), share))
+        (start, share_then), (now, share_now) = self._recent[0], self._recent[-1]
+        if share_now <= share_then:
+            return math.nan
+        return (1.0 - share_now) * (now - start) / (share_now - share_then)
+
+
+class ProgressLine:
+    """Formats progress, with the remaining time estimated from the last minutes."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic, window: int = 24) -> None:
+        self._left = TimeLeft(clock, window)
+
     def describe(self, progress: Progress) -> str:
         """Return the line for the current progress."""
-        self._recent.append((self._clock(), progress.share))
         parts = [
             f"step {progress.step}/{progress.steps}",
             f"updates {progress.updates}/{progress.updates_planned}",
             f"loss {_number(progress.loss, '.3f')}",
             f"active units {_number(progress.active_units, '.0f')}/{progress.latent_size}",
             f"ergodic measure {_number(progress.ergodic_measure, '.3f')}",
-            f"left {duration(self._left())}",
+            f"left {duration(self._left.estimate(progress.share))}",
         ]
         return "  ".join(parts)
-
-    def _left(self) -> float:
-        (start, share_then), (now, share_now) = self._recent[0], self._recent[-1]
-        if share_now <= share_then:
-            return math.nan
-        return (1.0 - share_now) * (now - start) / (share_now - share_then)
 
 
 def duration(seconds: float) -> str:

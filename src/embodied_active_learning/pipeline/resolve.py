@@ -70,7 +70,7 @@ def resolve_changes(
         WorldError: The world cannot be built.
         SessionError: The session cannot be opened for writing, see check_session.
     """
-    config = _combine(profile, changes, robot_profile, recorded)
+    config = combine_changes(profile, changes, robot_profile, recorded)
     if config.arm.robot == SIMULATED:
         if given(robot_profile):
             raise ConfigError(
@@ -93,12 +93,16 @@ def combine(
     profile: str, overrides: Sequence[str], robot_profile: str = "", recorded: Optional[Mapping[str, Any]] = None
 ) -> Config:
     """Return the configuration of resolve() without checking session and world. Raises ConfigError."""
-    return _combine(profile, _changes(overrides), robot_profile, recorded)
+    return combine_changes(profile, _changes(overrides), robot_profile, recorded)
 
 
-def _combine(
-    profile: str, changes: Mapping[str, Dict[str, Any]], robot_profile: str, recorded: Optional[Mapping[str, Any]]
+def combine_changes(
+    profile: str,
+    changes: Mapping[str, Dict[str, Any]],
+    robot_profile: str = "",
+    recorded: Optional[Mapping[str, Any]] = None,
 ) -> Config:
+    """Return the configuration of resolve_changes() without checking session and world. Raises ConfigError."""
     profile, robot_profile = given(profile), given(robot_profile)
     return Config.from_dict(merge(_base(profile, robot_profile, changes, dict(recorded or {})), dict(changes)))
 

@@ -1,0 +1,113 @@
+"""One run of a sweep, as a job for a worker process or a cluster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Optional
+
+from embodied_active_learning.config import Config, merge
+from embodied_active_learning.errors import SessionError
+from embodied_active_learning.model.learner import DivergenceError
+from embodied_active_learning.pipeline.learning import learn
+from embodied_active_learning.pipeline.progress import Progress
+from embodied_active_learning.pipeline.resolve import resolve_changes
+from embodied_active_learning.session.disk import bytes_below, estimate_bytes
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import read_summary
+from embodied_active_learning.sweep.records import has_record, load_record, record_session, write_record
+from embodied_active_learning.sweep.spec import SweepRun, differences
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run, where its session and its record are stored, and how many threads train it.
+
+    A job can be repeated at any time: a run with a record is not made again, and a session is resumed.
+    """
+
+    run: SweepRun
+    sessions: Path
+    records: Path
+    threads: int
+
+    @property
+    def session(self) -> Path:
+        """Folder of the session."""
+        return self.sessions / self.run.name
+
+    @property
+    def record(self) -> Path:
+        """Folder of the record."""
+        return self.records / self.run.name
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run has been made, here or elsewhere."""
+        return has_record(self.record)
+
+    def check(self) -> None:
+        """Raise SessionError if the stored run was made with other settings."""
+        stored = self._stored()
+        changes = differences(stored, self.run.config()) if stored else []
+        if changes:
+            place = self.record if self.complete else self.session
+            raise SessionError(
+                f"run {self.run.name} is stored in {place} with other settings: {'; '.join(changes)}; restore the "
+                "settings, rename the sweep, or delete the stored run"
+            )
+
+    def progress(self) -> Progress:
+        """Return how far the run is, also while another process makes it."""
+        config = self.run.config()
+        steps = updates = 0
+        if self.complete:
+            steps, updates = config.exploration.steps, config.updates_planned
+        elif self.session.is_dir():
+            session = Session.open_read_only(self.session)
+            steps = len(session.read_table("exploration")["step"])
+            made = session.read_table("training")["update"]
+            updates = int(made[-1]) if len(made) else 0
+        return Progress(steps, config.exploration.steps, updates, config.updates_planned)
+
+    def bytes_needed(self) -> int:
+        """Return the bytes that the rest of the run stores."""
+        stored = bytes_below(self.session) if self.session.is_dir() else 0
+        return 0 if self.complete else max(0, estimate_bytes(self.run.config()) - stored)
+
+    def __call__(self) -> str:
+        """Make or continue the run and store its record. Return what happened, in one line.
+
+        A run that diverges is recorded as failed, because it would diverge again.
+
+        Raises:
+            EmbodiedActiveLearningError: Like learn.
+        """
+        if self.complete:
+            return f"{self.run.name}: already made"
+        config, failure = self._config(), ""
+        try:
+            session = learn(config)
+        except DivergenceError as error:
+            session, failure = Session.open_read_only(self.session), str(error)
+        wall_time = 0.0 if failure else read_summary(session.paths.summary).wall_time
+        record = record_session(session, self.run.variant, failure, wall_time)
+        write_record(self.record, record)
+        return f"{self.run.name}: {failure or record.summary.verdict}"
+
+    def checkpoint(self) -> object:
+        """Return the submission that continues this job when submitit has to interrupt it."""
+        from submitit.helpers import DelayedSubmission  # noqa: PLC0415 - optional
+
+        return DelayedSubmission(self)
+
+    def _config(self) -> Config:
+        changes = merge(dict(self.run.changes), {"training": {"threads": self.threads}})
+        place = {"root": str(self.sessions), "name": self.run.name, "resume": self.session.is_dir()}
+        return resolve_changes(self.run.profile, merge(changes, {"session": place}))
+
+    def _stored(self) -> Optional[Config]:
+        """Return the configuration of the stored run, if there is one."""
+        if self.complete:
+            return load_record(self.record).config
+        return Session.open_read_only(self.session).config if self.session.is_dir() else None

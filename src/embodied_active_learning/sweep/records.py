@@ -1,0 +1,217 @@
+"""Records: what remains of a run when its session is deleted, a folder of some tens of kilobytes with CSV tables.
+
+Records hold no path of a computer, so that they can be committed and compared with those of other computers.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Dict, Optional, Tuple
+
+import numpy as np
+import torch
+
+from embodied_active_learning import __version__
+from embodied_active_learning.config import Config
+from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
+from embodied_active_learning.errors import ConfigError, CorruptFileError
+from embodied_active_learning.files import FileReader
+from embodied_active_learning.objects.report import nearest
+from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
+from embodied_active_learning.schema import build, to_plain
+from embodied_active_learning.session.atomic import make_folder, write_bytes
+from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import Summary, summarise
+from embodied_active_learning.session.tables import COLUMNS, read_table
+from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.sweep.spec import portable_settings
+
+FORMAT = "embodied_active_learning/record"
+RECORD_FILE = "record.yaml"
+_READER = FileReader(CorruptFileError, "delete the folder, and make the run again")
+_ROWS = {"exploration": 300, "training": 200, "evaluation": 200}
+"""Rows of each table that are kept, evenly spread."""
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class FoundObject:
+    """An object that clustering found in the learned model, and the true object nearest to it.
+
+    Attributes:
+        kind: object or blank.
+        x: Place of the centre [m].
+        y: Place of the centre [m].
+        nearest: Kind of the nearest true object; empty if the truth is not known.
+        distance: Distance to it [m].
+    """
+
+    kind: str
+    x: float
+    y: float
+    nearest: str = ""
+    distance: Optional[float] = None
+
+
+@dataclass(frozen=True)
+class _RecordFile:
+    """The fields of record.yaml."""
+
+    format: str
+    version: int
+    package_version: str
+    computer: str
+    summary: Summary
+    config: Dict[str, Any]
+    variant: str = ""
+    failure: str = ""
+    contrast: Optional[float] = None
+    objects: Tuple[FoundObject, ...] = ()
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run as it is compared with others.
+
+    Attributes:
+        name: Name of the run.
+        variant: Its variant in a sweep; empty for a session that is not part of one.
+        config: Its configuration, without paths.
+        summary: Its result.
+        tables: Columns (N,) of each table by name, as Session.read_table returns them, with fewer rows.
+        contrast: Largest over smallest predicted standard deviation; None if nothing was learned.
+        objects: What clustering found.
+        failure: Why the run failed; empty if it did not.
+        computer: Processor and versions that the run was made with.
+    """
+
+    name: str
+    variant: str
+    config: Config
+    summary: Summary
+    tables: Dict[str, Dict[str, np.ndarray]]
+    contrast: Optional[float] = None
+    objects: Tuple[FoundObject, ...] = ()
+    failure: str = ""
+    computer: str = ""
+
+
+def record_session(session: Session, variant: str = "", failure: str = "", wall_time: float = 0.0) -> Record:
+    """Return the record of a session, with all rows of its tables.
+
+    Args:
+        session: A session that has ended.
+        variant: Its variant in a sweep.
+        failure: Why it failed.
+        wall_time: Duration of all launches [s].
+    """
+    contrast, objects = _cluster(session) if not failure and os.path.lexists(session.paths.model) else (None, ())
+    return Record(
+        name=session.name,
+        variant=variant,
+        config=session.config,
+        summary=summarise(session, finished=not failure, wall_time=wall_time),
+        tables={name: session.read_table(name) for name in COLUMNS},
+        contrast=contrast,
+        objects=objects,
+        failure=failure,
+        computer=describe_computer(),
+    )
+
+
+def write_record(folder: Path, record: Record) -> None:
+    """Write a record with thinned-out tables; record.yaml comes last, so that its existence means completeness."""
+    make_folder(folder)
+    for name, columns in record.tables.items():
+        write_bytes(folder / f"{name}.csv", _thin_csv(columns, _ROWS[name]))
+    content = _RecordFile(
+        format=FORMAT,
+        version=CONFIG_VERSION,
+        package_version=__version__,
+        computer=record.computer,
+        summary=record.summary,
+        config=portable_settings(record.config),
+        variant=record.variant,
+        failure=record.failure,
+        contrast=record.contrast,
+        objects=record.objects,
+    )
+    write_checksummed(folder / RECORD_FILE, to_plain(content))
+
+
+def load_record(folder: Path) -> Record:
+    """Return the record in a folder, or that of a session. Raises CorruptFileError if it is neither."""
+    folder = Path(folder)
+    path = folder / RECORD_FILE
+    if not path.is_file():
+        session = Session.open_read_only(folder)
+        return Record(
+            name=session.name,
+            variant="",
+            config=session.config,
+            summary=summarise(session, finished=True, wall_time=0.0),
+            tables={name: session.read_table(name) for name in COLUMNS},
+        )
+    content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
+    found = build(_RecordFile, content, path, CorruptFileError, _READER.remedy)
+    try:
+        config = stored_config(found.config, found.version)
+    except ConfigError as error:
+        raise CorruptFileError(f"{path}: {error}; {_READER.remedy}") from error
+    return Record(
+        name=folder.name,
+        variant=found.variant,
+        config=config,
+        summary=found.summary,
+        tables={name: read_table(folder / f"{name}.csv", columns) for name, columns in COLUMNS.items()},
+        contrast=found.contrast,
+        objects=found.objects,
+        failure=found.failure,
+        computer=found.computer,
+    )
+
+
+def has_record(folder: Path) -> bool:
+    """Return whether a folder has a complete record."""
+    return (folder / RECORD_FILE).is_file()
+
+
+def describe_computer() -> str:
+    """Return the processor and the versions that results may depend on."""
+    processor = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+        if line.startswith("model name"):
+            processor = line.partition(":")[2].strip()
+            break
+    python, cores = platform.python_version(), os.cpu_count()
+    return f"{processor}, {cores} cores; Python {python}, torch {torch.__version__}, numpy {np.__version__}"
+
+
+def _cluster(session: Session) -> Tuple[float, Tuple[FoundObject, ...]]:
+    """Return contrast and objects of a session's model, compared with the true objects."""
+    clustering = FingerprintRun(session.paths.path).clustering
+    truth = true_objects(session.config)
+    objects = []
+    for cluster in clustering.clusters:
+        kind, distance = nearest(cluster.centre, truth)
+        x, y = (round(float(value), 4) for value in cluster.centre[:2])
+        objects.append(FoundObject(cluster.kind, x, y, kind, round(distance, 4) if math.isfinite(distance) else None))
+    return round(clustering.contrast, 3), tuple(objects)
+
+
+def _thin_csv(columns: Dict[str, np.ndarray], rows: int) -> bytes:
+    """Return a CSV table of evenly spread rows with few digits, the first and last row included."""
+    count = len(next(iter(columns.values())))
+    chosen: np.ndarray = np.unique(np.linspace(0, max(0, count - 1), min(count, rows)).round().astype(int))
+    lines = [",".join(columns)]
+    lines += [",".join(_text(float(values[index])) for values in columns.values()) for index in chosen]
+    return ("\n".join(lines) + "\n").encode("utf-8")
+
+
+def _text(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.{_DIGITS}g}"

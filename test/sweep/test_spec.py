@@ -1,0 +1,77 @@
+"""The file of a sweep and its runs."""
+
+import pytest
+
+from embodied_active_learning.errors import ConfigError, SessionError
+from embodied_active_learning.sweep.spec import differences, load_sweep
+from launching import ROOT
+
+SPEC = """
+worlds: [bottom, right]
+seeds: [4, 7]
+overrides: {exploration: {steps: 300}}
+variants:
+  ergodic: {}
+  walk: {worlds: [right], overrides: {exploration: {explorer: random_walk}}}
+"""
+
+
+def load(tmp_path, text):
+    path = tmp_path / "small.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_sweep(path)
+
+
+def test_runs_are_all_combinations_with_first_seed_first(tmp_path):
+    sweep = load(tmp_path, SPEC)
+    assert sweep.name == "small"
+    assert [run.name for run in sweep.runs] == [
+        f"{run}-seed{seed}" for seed in (4, 7) for run in ("ergodic-bottom", "ergodic-right", "walk-right")
+    ]
+
+
+def test_run_combines_profile_and_overrides(tmp_path):
+    config = load(tmp_path, SPEC.replace("worlds: [bottom", "profile: paper\nworlds: [bottom")).runs[-1].config()
+    exploration = config.exploration
+    assert (exploration.steps, exploration.seed, exploration.explorer) == (300, 7, "random_walk")
+    assert exploration.fresh_samples == 1000
+    assert config.simulation.world == "right"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("seeds: [4, 7]", "", "seeds is missing"),
+        ("seeds", "seds", "unknown key seds: did you mean seeds"),
+        ("steps: 300", "stepps: 300", "run ergodic-bottom-seed4: .*unknown key exploration/stepps: did you mean"),
+        ("[4, 7]", "[4, 4]", "two runs are named ergodic-bottom-seed4"),
+        ("walk:", "Walk:", "name of a run is 'Walk-right-seed4'"),
+    ],
+)
+def test_invalid_spec_is_refused(tmp_path, before, after, message):
+    with pytest.raises((ConfigError, SessionError), match=message):
+        load(tmp_path, SPEC.replace(before, after))
+
+
+def test_differences_name_changed_settings(tmp_path):
+    stored = load(tmp_path, SPEC).runs[0].config()
+    changed = load(tmp_path, SPEC.replace("steps: 300", "steps: 400, samples: 500")).runs[0].config()
+    assert differences(stored, changed) == [
+        "exploration/steps is 400 but was 300",
+        "exploration/samples is 500 but was 1000",
+    ]
+
+
+def test_differences_ignore_what_depends_on_the_computer(tmp_path):
+    run = load(tmp_path, SPEC).runs[0]
+    sections = run.config().to_dict()
+    sections["simulation"]["world"] = "/elsewhere/bottom.yaml"
+    sections["training"].update(threads=7)
+    sections["session"]["name"] = "x"
+    other = type(run.config()).from_dict(sections)
+    assert differences(run.config(), other) == []
+
+
+def test_shipped_sweeps_are_valid():
+    names = [load_sweep(path).name for path in sorted((ROOT / "experiments").glob("*.yaml"))]
+    assert "learning_metrics" in names
