@@ -1,7 +1,7 @@
 # make         install missing packages, build
 # make demo    learn, fingerprint and identify in PyBullet, headless, with the demo profile
 # make check   lint and unit tests in parallel, without a ROS master: about two minutes on two cores
-# make test    lint and all tests, with nodes
+# make test    make check, then the tests with nodes
 # make docs    generated files of docs/ and config/, and API pages in build/docs
 # make bench   all benchmarks: tables and build/benchmarks.json
 .PHONY: all install build demo check test bench bench-docs lint format docs clean
@@ -34,10 +34,10 @@ demo: build
 	tools/demo.sh $(DEMO_ARGS)
 
 check: build lint
-	tools/test.sh -m "not ros" -n auto --dist loadfile $(PYTEST_ARGS)
+	tools/test.sh unit $(PYTEST_ARGS)
 
 test: build lint
-	tools/test.sh $(PYTEST_ARGS)
+	tools/test.sh all $(PYTEST_ARGS)
 
 bench: build
 	source ./setup.bash && python3 benchmarks/run_all.py build/benchmarks.json
