@@ -25,8 +25,9 @@ from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.schema import build, to_plain
 from embodied_active_learning.session.atomic import make_folder, write_bytes
 from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
+from embodied_active_learning.session.conclusion import summarise
 from embodied_active_learning.session.session import Session
-from embodied_active_learning.session.summary import Summary, summarise
+from embodied_active_learning.session.summary import Summary
 from embodied_active_learning.session.tables import COLUMNS, read_table
 from embodied_active_learning.simulation.truth import true_objects
 from embodied_active_learning.sweep.spec import portable_settings
