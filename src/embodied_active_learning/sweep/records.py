@@ -66,9 +66,9 @@ class _RecordFile:
     format: str
     version: int
     package_version: str
-    computer: str
     summary: Summary
     config: Dict[str, Any]
+    computer: str = ""
     variant: str = ""
     failure: str = ""
     contrast: Optional[float] = None
@@ -134,9 +134,9 @@ def write_record(folder: Path, record: Record) -> None:
         format=FORMAT,
         version=CONFIG_VERSION,
         package_version=__version__,
-        computer=record.computer,
         summary=record.summary,
         config=portable_settings(record.config),
+        computer=record.computer,
         variant=record.variant,
         failure=record.failure,
         contrast=record.contrast,

@@ -1,0 +1,83 @@
+"""Panels of mean curves with intervals, for comparisons of groups of runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Mapping, Sequence
+
+import numpy as np
+
+from embodied_active_learning.figures.style import (
+    LARGE,
+    SMALL,
+    colour,
+    default_style,
+    label,
+    new_figure,
+    save,
+    style_axes,
+)
+
+_MOST_COLUMNS = 4
+_WIDTH, _HEIGHT = 3.0, 2.1  # inches, of a panel
+_DECADES = 1.5
+"""Decades of positive values from which on an axis is logarithmic."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A mean and its interval over an axis.
+
+    Attributes:
+        label: Name in the legend.
+        x: (N,) positions.
+        mean: (N,) means.
+        low: (N,) lower ends of the interval; NaN without an interval.
+        high: (N,) upper ends.
+    """
+
+    label: str
+    x: np.ndarray
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@default_style
+def draw_curves(path: Path, panels: Mapping[str, Sequence[Curve]], axis: Mapping[str, str], title: str = "") -> Path:
+    """Draw a panel of curves for each quantity, with one legend.
+
+    Args:
+        path: PNG file; a PDF is written beside it.
+        panels: Curves by the name of the quantity.
+        axis: Label of the horizontal axis by the name of the quantity.
+        title: Title of the figure.
+    """
+    columns = min(_MOST_COLUMNS, max(1, len(panels)))
+    rows = math.ceil(len(panels) / columns)
+    figure = new_figure(_WIDTH * columns, _HEIGHT * rows + 0.4)
+    grid = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in grid[len(panels) :]:
+        axes.set_axis_off()
+    for axes, (name, curves) in zip(grid, panels.items()):
+        for index, curve in enumerate(curves):
+            axes.plot(curve.x, curve.mean, color=colour(index), linewidth=1.2, label=curve.label)
+            axes.fill_between(curve.x, curve.low, curve.high, color=colour(index), alpha=0.2, linewidth=0)
+        if _spans_decades([curve.mean for curve in curves]):
+            axes.set_yscale("log")
+        style_axes(axes)
+        label(axes, axis[name], name)
+    if panels:
+        grid[0].legend(fontsize=SMALL, frameon=False)
+    if title:
+        figure.suptitle(title, fontsize=LARGE)
+    return save(figure, path, pdf=True)
+
+
+def _spans_decades(values: Sequence[np.ndarray]) -> bool:
+    everything = np.concatenate([np.asarray(part)[np.isfinite(part)] for part in values])
+    if not len(everything) or everything.min() <= 0.0:
+        return False
+    return bool(np.log10(everything.max() / everything.min()) > _DECADES)

@@ -1,0 +1,70 @@
+"""Compare runs: mean and bootstrap 95 % interval over seeds of every column of their tables, as figure and CSV.
+
+    python3 -m embodied_active_learning.sweep.compare experiments/results/learning_metrics --by exploration/explorer
+
+Runs are sessions, records of a sweep, or folders of records. Prints the last values as a table, and writes
+comparison.csv, comparison.png and comparison.pdf.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Dict, List, Mapping, Sequence, Tuple
+
+from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.figures.curves import Curve, draw_curves
+from embodied_active_learning.session.tables import COLUMNS
+from embodied_active_learning.sweep.comparison import (
+    compare_columns,
+    comparison_rows,
+    group_records,
+    load_records,
+)
+from embodied_active_learning.sweep.csv_files import write_rows
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Compare the runs. Return 0, or 2 if they cannot be compared."""
+    parser = argparse.ArgumentParser(
+        prog="compare_sessions", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a session, a record, or records")
+    parser.add_argument("--by", default="variant", help="setting that distinguishes the groups, or variant (default)")
+    parser.add_argument("--output", type=Path, default=Path(), help="folder of the files (default: this one)")
+    options = parser.parse_args(arguments)
+    try:
+        curves = compare_columns(group_records(load_records(options.runs), options.by))
+        write_rows(options.output / "comparison.csv", comparison_rows(curves))
+        panels, axes = _panels(curves)
+        figure = draw_curves(options.output / "comparison.png", panels, axes)
+    except EmbodiedActiveLearningError as error:
+        print(error, file=sys.stderr)  # noqa: T201 - a command
+        return 2
+    print("\n".join([*_last_values(curves), str(figure)]))  # noqa: T201
+    return 0
+
+
+def _panels(curves: Mapping[Tuple[str, str], List[Curve]]) -> Tuple[Dict[str, List[Curve]], Dict[str, str]]:
+    """Return curves and axis labels by the name of the panel; a column of two tables has two panels."""
+    panels: Dict[str, List[Curve]] = {}
+    axes: Dict[str, str] = {}
+    for (table, column), found in curves.items():
+        name = column if column not in panels else f"{column} ({table})"
+        panels[name], axes[name] = found, COLUMNS[table][0]
+    return panels, axes
+
+
+def _last_values(curves: Mapping[Tuple[str, str], List[Curve]]) -> List[str]:
+    """Return a Markdown table of the last values."""
+    lines = ["| column | group | mean | 95 % interval |", "| --- | --- | --- | --- |"]
+    for (table, column), found in curves.items():
+        for curve in found:
+            interval = f"{curve.low[-1]:.4g} to {curve.high[-1]:.4g}" if curve.low[-1] == curve.low[-1] else "-"
+            lines.append(f"| {table}/{column} | {curve.label} | {curve.mean[-1]:.4g} | {interval} |")
+    return lines
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

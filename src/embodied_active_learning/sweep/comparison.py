@@ -1,0 +1,113 @@
+"""Statistics over the seeds of runs: means and bootstrap intervals of all columns of their tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Dict, Iterator, List, Mapping, NamedTuple, Sequence, Tuple
+
+import numpy as np
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ConfigError, SessionError
+from embodied_active_learning.figures.curves import Curve
+from embodied_active_learning.schema import nearest, settings
+from embodied_active_learning.session.tables import COLUMNS
+from embodied_active_learning.sweep.records import RECORD_FILE, Record, load_record
+from embodied_active_learning.sweep.spec import portable_settings
+
+POINTS = 50
+"""Positions of the common axis that runs are interpolated to."""
+RESAMPLES = 2000
+LEVEL = 0.95
+_NOT_COMPARED = ("time", "x", "y", "theta", "observations")
+_SEED = 0
+
+
+class Mean(NamedTuple):
+    """Means over runs and the ends of their bootstrap intervals, (N,) each; the interval of one run is NaN."""
+
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def bootstrap_mean(values: np.ndarray, level: float = LEVEL) -> Mean:
+    """Return the mean over runs with percentile bootstrap intervals.
+
+    Args:
+        values: (R, N) one row per run; NaN where a run has no value.
+        level: Coverage of the interval.
+    """
+    values = np.asarray(values, dtype=float)
+    if len(values) == 1:
+        unknown = np.full(values.shape[1], np.nan)
+        return Mean(values[0], unknown, unknown)
+    chosen = np.random.default_rng(_SEED).integers(len(values), size=(RESAMPLES, len(values)))
+    means = values[chosen].mean(axis=1)
+    low, high = np.quantile(means, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    return Mean(values.mean(axis=0), low, high)
+
+
+def load_records(folders: Sequence[Path]) -> List[Record]:
+    """Return the records of folders: sessions, records, or folders of records. Raises SessionError if one has none."""
+    records = []
+    for folder in folders:
+        inside = sorted(path.parent for path in Path(folder).glob(f"*/{RECORD_FILE}"))
+        records += [load_record(path) for path in inside or [Path(folder)]]
+    if not records:
+        raise SessionError("no run to compare: give sessions, or folders of records")
+    return records
+
+
+def group_records(records: Sequence[Record], key: str) -> Dict[str, List[Record]]:
+    """Group records by a setting (`section/key`) or by "variant", in the order of their first member.
+
+    Raises:
+        ConfigError: There is no such setting.
+    """
+    names = ["variant", *(f"{section}/{item.name}" for section, item in settings(Config))]
+    if key not in names:
+        raise ConfigError(f"runs cannot be grouped by {key}: {nearest(key, names)}")
+    groups: Dict[str, List[Record]] = {}
+    for record in records:
+        section, _, name = key.partition("/")
+        value = record.variant if key == "variant" else portable_settings(record.config)[section][name]
+        groups.setdefault(str(value), []).append(record)
+    return groups
+
+
+def compare_columns(groups: Mapping[str, Sequence[Record]]) -> Dict[Tuple[str, str], List[Curve]]:
+    """Return the curves of all groups by (table, column). Runs of a column are cut to the shortest of their group."""
+    curves: Dict[Tuple[str, str], List[Curve]] = {}
+    for table, columns in COLUMNS.items():
+        for column in columns[1:]:
+            if column not in _NOT_COMPARED:
+                found = [_curve(name, records, table, column) for name, records in groups.items()]
+                curves[table, column] = [curve for curve in found if len(curve.x)]
+    return {key: found for key, found in curves.items() if found}
+
+
+def comparison_rows(curves: Mapping[Tuple[str, str], Sequence[Curve]]) -> Iterator[Dict[str, object]]:
+    """Yield the numbers of all curves as rows of a table."""
+    for (table, column), found in curves.items():
+        for curve in found:
+            for x, mean, low, high in zip(curve.x, curve.mean, curve.low, curve.high):
+                place = {"table": table, "column": column, "group": curve.label}
+                yield {**place, "at": x, "mean": mean, "low": low, "high": high}
+
+
+def _curve(name: str, records: Sequence[Record], table: str, column: str) -> Curve:
+    """Return the mean of a column over the runs of a group, on a common axis."""
+    series = [_finite(record.tables[table], COLUMNS[table][0], column) for record in records]
+    series = [(x, y) for x, y in series if len(x)]
+    label = f"{name} (n = {len(series)})"
+    if not series:
+        empty = np.empty(0)
+        return Curve(label, empty, empty, empty, empty)
+    axis = np.linspace(max(x[0] for x, _ in series), min(x[-1] for x, _ in series), POINTS)
+    return Curve(label, axis, *bootstrap_mean(np.array([np.interp(axis, x, y) for x, y in series])))
+
+
+def _finite(table: Mapping[str, np.ndarray], axis: str, column: str) -> Tuple[np.ndarray, np.ndarray]:
+    valid = np.isfinite(table[column])
+    return table[axis][valid], table[column][valid]

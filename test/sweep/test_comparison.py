@@ -1,0 +1,103 @@
+"""Means and intervals over the seeds of runs."""
+
+import csv
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ConfigError, SessionError
+from embodied_active_learning.session.summary import Summary
+from embodied_active_learning.session.tables import COLUMNS
+from embodied_active_learning.sweep.compare import main
+from embodied_active_learning.sweep.comparison import bootstrap_mean, compare_columns, group_records, load_records
+from embodied_active_learning.sweep.csv_files import read_rows, write_rows
+from embodied_active_learning.sweep.records import Record, load_record, write_record
+
+
+def make_record(name, explorer, level, steps=100):
+    """A record whose every column rises to a level."""
+    tables = {}
+    for table, columns in COLUMNS.items():
+        axis = np.arange(1.0, steps + 1.0)
+        tables[table] = dict.fromkeys(columns, level * axis / steps)
+        tables[table][columns[0]] = axis
+    config = Config.from_dict({"exploration": {"explorer": explorer}})
+    return Record(name, explorer, config, Summary(True, steps, steps, 1.0), tables)
+
+
+RECORDS = [make_record("a", "ergodic", 1.0), make_record("b", "ergodic", 3.0), make_record("c", "uniform", 5.0)]
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=8))
+def test_bootstrap_interval_contains_the_mean_and_stays_within_the_data(values):
+    result = bootstrap_mean(np.array(values)[:, np.newaxis])
+    spread = 1e-9 * (1.0 + np.abs(values).max())
+    assert min(values) - spread <= result.low[0] <= result.high[0] <= max(values) + spread
+    assert result.mean[0] == pytest.approx(np.mean(values))
+
+
+def test_bootstrap_interval_covers_the_true_mean():
+    """Of 200 samples of 20 normal numbers, about 93 % of the intervals cover it."""
+    samples = np.random.default_rng(1).normal(3.0, 1.0, (20, 200))
+    result = bootstrap_mean(samples)
+    assert np.mean((result.low < 3.0) & (result.high > 3.0)) == pytest.approx(0.93, abs=0.05)
+
+
+def test_one_run_has_no_interval():
+    result = bootstrap_mean(np.array([[1.0, 2.0]]))
+    assert list(result.mean) == [1.0, 2.0]
+    assert np.isnan(result.low).all()
+
+
+def test_columns_are_averaged_per_group():
+    curves = compare_columns(group_records(RECORDS, "exploration/explorer"))
+    ergodic, uniform = curves["training", "loss"]
+    assert (ergodic.label, ergodic.mean[-1]) == ("ergodic (n = 2)", 2.0)
+    assert (ergodic.low[-1], ergodic.high[-1]) == (1.0, 3.0)
+    assert uniform.mean[-1] == 5.0
+    assert ("exploration", "x") not in curves
+
+
+def test_runs_are_compared_up_to_the_shortest():
+    groups = {"all": [make_record("a", "ergodic", 1.0, 100), make_record("b", "ergodic", 1.0, 50)]}
+    assert compare_columns(groups)["training", "loss"][0].x[-1] == 50.0
+
+
+def test_unknown_key_is_refused():
+    with pytest.raises(ConfigError, match="did you mean exploration/explorer"):
+        group_records(RECORDS, "exploration/explore")
+
+
+def test_record_is_written_small_and_read_again(tmp_path):
+    write_record(tmp_path / "a", make_record("a", "uniform", 2.0, 3000))
+    record = load_record(tmp_path / "a")
+    assert (record.name, record.variant, record.config.exploration.explorer) == ("a", "uniform", "uniform")
+    steps = record.tables["exploration"]["step"]
+    assert (len(steps), steps[0], steps[-1]) == (300, 1.0, 3000.0)
+    assert sum(path.stat().st_size for path in (tmp_path / "a").iterdir()) < 80_000
+
+
+def test_command_writes_figure_and_csv(tmp_path, capsys):
+    for record in RECORDS:
+        write_record(tmp_path / "results" / record.name, record)
+    assert main([str(tmp_path / "results"), "--output", str(tmp_path / "out")]) == 0
+    assert "| evaluation/mse_own | ergodic (n = 2) | 2 | 1 to 3 |" in capsys.readouterr().out
+    with (tmp_path / "out" / "comparison.csv").open(encoding="utf-8") as stream:
+        row = next(csv.DictReader(stream))
+    assert (row["table"], row["column"], row["group"]) == ("exploration", "ergodic_measure", "ergodic (n = 2)")
+    assert {"comparison.png", "comparison.pdf"} < {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_command_refuses_folder_without_run(tmp_path, capsys):
+    assert main([str(tmp_path)]) == 2
+    assert "config.yaml is missing" in capsys.readouterr().err
+    with pytest.raises(SessionError, match="no run to compare"):
+        load_records([])
+
+
+def test_rows_are_written_and_read_again(tmp_path):
+    write_rows(tmp_path / "new" / "rows.csv", [{"name": "a,b", "value": 1 / 3, "none": None, "nan": float("nan")}])
+    assert read_rows(tmp_path / "new" / "rows.csv") == [{"name": "a,b", "value": "0.333333", "none": "", "nan": ""}]
