@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Callable, Dict, List, Sequence
+from typing import Any, Callable, Dict, List, Protocol, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from embodied_active_learning.config import SIMULATED
+from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.figures.style import (
     GREY,
@@ -23,19 +23,29 @@ from embodied_active_learning.figures.style import (
 )
 from embodied_active_learning.figures.top_view import SessionImages, load_session_images
 from embodied_active_learning.figures.workspace_axes import draw_path, draw_top_view
-from embodied_active_learning.session.session import Session
 
 _ROW_HEIGHTS = (1.0, 1.0, 1.0, 1.0, 2.6)
 _COLUMN_WIDTH, _LABEL_WIDTH, _HEIGHT = 3.2, 1.0, 9.2  # inches
 
 
+class MeasuredRun(Protocol):
+    """A run with tables: a session, or what is kept of one."""
+
+    @property
+    def config(self) -> Config:
+        """Configuration of the run."""
+
+    def read_table(self, name: str) -> Dict[str, np.ndarray]:
+        """Return the columns (N,) of a table, see Session.read_table."""
+
+
 @default_style
 def draw_learning_metrics(
-    path: Path, sessions: Sequence[Session], load_images: Callable[[Session], SessionImages] = load_session_images
+    path: Path, sessions: Sequence[MeasuredRun], load_images: Callable[[Any], SessionImages] = load_session_images
 ) -> Path:
     """Draw a column per world and explorer, with a line per seed.
 
-    load_images: returns the images of a session.
+    load_images: returns the images of a run.
     """
     columns = _columns(sessions)
     figure = new_figure(_LABEL_WIDTH + _COLUMN_WIDTH * len(columns), _HEIGHT)
@@ -55,11 +65,11 @@ def draw_learning_metrics(
     return save(figure, path, sessions[0].config.session.pdf_figures)
 
 
-def _columns(sessions: Sequence[Session]) -> Dict[str, List[Session]]:
+def _columns(sessions: Sequence[MeasuredRun]) -> Dict[str, List[MeasuredRun]]:
     """Group sessions by the title of their column: the ergodic explorer first, then baselines."""
     if not sessions:
         raise SessionError("no session to draw: give at least one session")
-    columns: Dict[str, List[Session]] = {}
+    columns: Dict[str, List[MeasuredRun]] = {}
     for session in sorted(sessions, key=lambda one: one.config.exploration.explorer != "ergodic"):
         explorer = session.config.exploration.explorer
         config = session.config
@@ -70,7 +80,7 @@ def _columns(sessions: Sequence[Session]) -> Dict[str, List[Session]]:
     return columns
 
 
-def _draw_active_units(axes: Axes, sessions: Sequence[Session]) -> None:
+def _draw_active_units(axes: Axes, sessions: Sequence[MeasuredRun]) -> None:
     """Number of active latents."""
     for index, session in enumerate(sessions):
         table = session.read_table("training")
@@ -82,7 +92,7 @@ def _draw_active_units(axes: Axes, sessions: Sequence[Session]) -> None:
         axes.legend(fontsize=SMALL, frameon=False, loc="lower right", ncols=min(len(sessions), 3))
 
 
-def _draw_ergodic_measure(axes: Axes, sessions: Sequence[Session]) -> None:
+def _draw_ergodic_measure(axes: Axes, sessions: Sequence[MeasuredRun]) -> None:
     """KL divergence between target and time-averaged distribution."""
     for index, session in enumerate(sessions):
         table = session.read_table("exploration")
@@ -92,7 +102,7 @@ def _draw_ergodic_measure(axes: Axes, sessions: Sequence[Session]) -> None:
     label(axes, "exploration step", "KL-ergodic\nmeasure [nat]")
 
 
-def _draw_loss(axes: Axes, sessions: Sequence[Session]) -> None:
+def _draw_loss(axes: Axes, sessions: Sequence[MeasuredRun]) -> None:
     """Smoothed loss."""
     for index, session in enumerate(sessions):
         table = session.read_table("training")
@@ -101,7 +111,7 @@ def _draw_loss(axes: Axes, sessions: Sequence[Session]) -> None:
     label(axes, "model update", "loss per pixel [nat]")
 
 
-def _draw_weights(axes: Axes, sessions: Sequence[Session]) -> None:
+def _draw_weights(axes: Axes, sessions: Sequence[MeasuredRun]) -> None:
     """Beta (solid) and gamma (dashed), in the colours of the seeds."""
     for index, session in enumerate(sessions):
         table = session.read_table("training")
@@ -116,13 +126,14 @@ def _draw_weights(axes: Axes, sessions: Sequence[Session]) -> None:
     label(axes, "model update", "weights of\nthe loss")
 
 
-def _draw_workspace(axes: Axes, session: Session, images: SessionImages) -> None:
+def _draw_workspace(axes: Axes, session: MeasuredRun, images: SessionImages) -> None:
     """Table from above and path of the camera."""
     draw_top_view(axes, images.table)
-    draw_path(axes, images.observations.raw_states, session.config.workspace.box())
+    every_step = bool(np.all(np.diff(session.read_table("exploration")["step"]) == 1))
+    draw_path(axes, images.observations.raw_states, session.config.workspace.box(), joined=every_step)
 
 
-def _seed(session: Session) -> str:
+def _seed(session: MeasuredRun) -> str:
     """Label of a line."""
     return f"seed {session.config.exploration.seed}"
 

@@ -48,9 +48,12 @@ def draw_top_view(axes: Axes, view: TopView) -> None:
     _label_axes(axes)
 
 
-def draw_path(axes: Axes, states: np.ndarray, workspace: Workspace) -> None:
-    """Draw the path through states (N, 3) [m, m, rad] and the workspace limits."""
-    axes.plot(states[:, 0], states[:, 1], color="black", linewidth=0.4, alpha=0.3)
+def draw_path(axes: Axes, states: np.ndarray, workspace: Workspace, joined: bool = True) -> None:
+    """Draw the path through states (N, 3) [m, m, rad], or dots if states were left out, and the workspace limits."""
+    if joined:
+        axes.plot(states[:, 0], states[:, 1], color="black", linewidth=0.4, alpha=0.3)
+    else:
+        axes.plot(states[:, 0], states[:, 1], color="black", linestyle="", marker=".", markersize=1.5, alpha=0.5)
     draw_box(axes, extent_of(workspace))
 
 

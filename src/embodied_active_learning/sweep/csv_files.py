@@ -27,8 +27,15 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
     write_text(path, stream.getvalue())
 
 
-def read_rows(path: Path) -> List[Dict[str, str]]:
-    """Return the rows of a file as texts. Raises CorruptFileError if it is missing."""
+def append_rows(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
+    """Add rows to a file, which is created if it does not exist. The file is replaced atomically."""
+    write_rows(path, [*read_rows(path, missing_ok=True), *rows])
+
+
+def read_rows(path: Path, missing_ok: bool = False) -> List[Dict[str, str]]:
+    """Return the rows of a file as texts; none if it is missing and may be. Raises CorruptFileError otherwise."""
+    if missing_ok and not path.exists():
+        return []
     return list(csv.DictReader(io.StringIO(_READER.read_text(path))))
 
 

@@ -101,6 +101,10 @@ class Record:
     failure: str = ""
     computer: str = ""
 
+    def read_table(self, name: str) -> Dict[str, np.ndarray]:
+        """Return the columns (N,) of a table, like Session.read_table."""
+        return self.tables[name]
+
 
 def record_session(session: Session, variant: str = "", failure: str = "", wall_time: float = 0.0) -> Record:
     """Return the record of a session, with all rows of its tables.

@@ -1,0 +1,1 @@
+"""Peers, statistics and bounds that the experiments compare the method with; no run needs them."""
