@@ -223,7 +223,9 @@ class IdentificationConfig:
     error_rate: float = setting(
         0.05, "accepted rate of errors: objects missed, and look-alikes taken for the object", "", 0.001, 0.5
     )
-    trials: int = setting(39, "simulated places and look-alikes from which a fingerprint sets its limits when it is made", "", 1, 10000)
+    trials: int = setting(
+        39, "simulated places and look-alikes from which a fingerprint sets its limits when it is made", "", 1, 10000
+    )
     view_distance: float = setting(0.045, "largest distance of a compared view from the candidate", "m", 0.005, 0.5)
     views: int = setting(5, "largest number of compared views of a candidate", "", 2, 1000)
     min_coverage: float = setting(0.95, "share of the workspace to be seen before an object is not here", "", 0.0, 1.0)

@@ -13,6 +13,7 @@ import yaml
 from embodied_active_learning.pipeline.resolve import resolve
 from embodied_active_learning.session.checkpoints import load_latest
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import read_summary
 from launching import ROOT, environment, launched, pid_of
 
 sys.path.insert(0, str(ROOT / "experiments"))
@@ -34,6 +35,7 @@ class Run:
     def __init__(self, home, process, variables):
         self.path = home / "run"
         self.process = process
+        self.began_at = time.monotonic()
         self.variables = variables
         self._log = home / "launch.log"
 
@@ -146,7 +148,10 @@ def test_trainer_saves_checkpoint_while_master_hangs(run):
     trainer = run.pid("trainer")
     with frozen(run.pid("rosmaster")):
         assert end(trainer, signal.SIGTERM) < 5.0
-        assert run.last_update == run.checkpoint.counters["updates"] > 0
+        summary = read_summary(run.path / "summary.yaml")
+    assert not summary.finished
+    assert 0.0 < summary.wall_time < time.monotonic() - run.began_at
+    assert run.last_update == run.checkpoint.counters["updates"] > 0
     run.wait_for_respawn("trainer", trainer)
     run.wait_for_progress()
 

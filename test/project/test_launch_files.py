@@ -9,7 +9,7 @@ import pytest
 import yaml
 from roslaunch.arg_dump import get_args
 from roslaunch.config import ROSLaunchConfig
-from roslaunch.xmlloader import XmlLoader
+from roslaunch.xmlloader import XmlLoader, XmlParseException
 
 LAUNCH = sorted((Path(__file__).resolve().parents[2] / "launch").glob("*.launch"))
 
@@ -102,6 +102,22 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
     assert at_robot == {"franka_arm", "camera_pipeline"}
     assert {places["trainer"], places["ergodic_planner"], places["monitor"]} == {"10.77.0.2"}
     assert not config.params["/use_sim_time"].value
+
+
+@pytest.mark.parametrize(
+    ("name", "argument"),
+    [
+        ("learn", "world"),
+        ("fingerprint", "session"),
+        ("identify", "replay"),
+        ("replay", "bag"),
+        ("robot", "robot_profile"),
+    ],
+)
+def test_double_quotes_are_refused(name, argument):
+    path = next(path for path in LAUNCH if path.stem == name)
+    with pytest.raises(XmlParseException, match="double quotes are not allowed"):
+        XmlLoader().load(str(path), ROSLaunchConfig(), argv=["session:=a", f'{argument}:=a"b'], verbose=False)
 
 
 @pytest.mark.parametrize("bringup", ["all", "nodes"])

@@ -1,4 +1,4 @@
-"""A progress line with an estimate of the remaining time."""
+"""A progress line with an estimate of the remaining time, and the summary at the end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Callable, Deque, Tuple
+from typing import Callable, Deque, Optional, Tuple
+
+from embodied_active_learning.session.summary import Summary
 
 
 @dataclass(frozen=True)
@@ -75,3 +77,19 @@ def duration(seconds: float) -> str:
 
 def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "-"
+
+
+def describe_summary(summary: Summary) -> str:
+    """Return the summary of a run as text."""
+
+    def number(value: Optional[float]) -> str:
+        return "-" if value is None else f"{value:.3g}"
+
+    return (
+        f"finished: {summary.steps} steps and {summary.updates} updates in {duration(summary.wall_time)} min\n"
+        f"  active units {number(summary.active_units)}, ergodic measure {number(summary.ergodic_measure)}, "
+        f"coverage {number(summary.coverage)}, distance {number(summary.distance)} m\n"
+        f"  mean squared error with own / shuffled / no latent: "
+        f"{number(summary.mse_own)} / {number(summary.mse_shuffled)} / {number(summary.mse_none)}\n"
+        f"  verdict  {summary.verdict}"
+    )
