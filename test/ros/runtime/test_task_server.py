@@ -8,8 +8,9 @@ import threading
 import pytest
 
 from embodied_active_learning.errors import TaskCancelledError
+from embodied_active_learning.ros.runtime import task_server
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
-from embodied_active_learning.ros.runtime.task_server import Progress, is_connected
+from embodied_active_learning.ros.runtime.task_server import Caller, Progress, is_connected
 
 
 def test_progress_sets_status_and_publishes():
@@ -53,3 +54,43 @@ def test_connection_is_lost_when_caller_closes():
             assert here.recv(100) == b"next request"
         assert not is_connected(here)
     assert not is_connected(here)
+
+
+class Master:
+    """A master that knows some nodes."""
+
+    def __init__(self, *nodes):
+        self.nodes = set(nodes)
+
+    def lookupNode(self, name):
+        if self.nodes is None:
+            raise OSError
+        return (1 if name in self.nodes else -1, "", "")
+
+
+@pytest.fixture
+def master(monkeypatch):
+    master = Master("/rosservice_1")
+    monkeypatch.setattr(task_server.rospy, "get_master", lambda: master)
+    return master
+
+
+def test_interrupted_caller_has_left_although_it_is_connected(master):
+    now = [0.0]
+    here, _other = socket.socketpair()
+    caller = Caller("/rosservice_1", here, lambda: now[0])
+    now[0] = 10.0
+    assert not caller.has_left()
+    master.nodes.clear()
+    now[0] = 20.0
+    assert caller.has_left()
+
+
+def test_caller_is_kept_while_master_is_silent_or_never_knew_it(master):
+    now = [0.0]
+    here, _other = socket.socketpair()
+    known, unknown = (Caller(name, here, lambda: now[0]) for name in ("/rosservice_1", "/a_script"))
+    master.nodes = None
+    now[0] = 10.0
+    assert not known.has_left()
+    assert not unknown.has_left()

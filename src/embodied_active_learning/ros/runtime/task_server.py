@@ -1,8 +1,7 @@
 """A long task offered as a service and as an action: one call at a time, with progress, cancelled by its caller.
 
-The action has feedback and a cancel request. A call of the service is cancelled if its caller dies, or by a request to
-cancel all goals: `rostopic pub -1 /fingerprint/cancel actionlib_msgs/GoalID {}`. Ctrl-C in `rosservice call` is not
-enough, because rospy keeps waiting for the response.
+The action has feedback and a cancel request. A call of the service is cancelled if its caller dies or is interrupted,
+or by a request to cancel all goals: `rostopic pub -1 /fingerprint/cancel actionlib_msgs/GoalID {}`.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 import select
 import socket
 import threading
+import time
 from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator
 
@@ -25,6 +25,8 @@ from embodied_active_learning.ros.runtime.timers import WallTimer
 
 _POLL_PERIOD = 0.1
 """Wall seconds between checks whether a task was cancelled, during `when_cancelled`."""
+_REGISTRATION_PERIOD = 1.0
+"""Wall seconds between checks whether the caller of a service is still registered."""
 _STATUS_PERIOD = 0.2
 """Wall seconds between messages on the action's status topic: actionlib's default."""
 
@@ -122,7 +124,8 @@ class TaskServer:
         connection: socket.socket = self._caller.socket
         with self._task.call():
             self._service_cancelled.clear()
-            progress = Progress(self._task, lambda: self._service_cancelled.is_set() or not is_connected(connection))
+            caller = Caller(request._connection_header.get("callerid", ""), connection)
+            progress = Progress(self._task, lambda: self._service_cancelled.is_set() or caller.has_left())
             return self._service_class._response_class(success=True, **self._run(request, progress))
 
     def _cancel_service(self, message: GoalID) -> None:
@@ -166,6 +169,37 @@ class TaskServer:
             handle.set_aborted(make_result(message="the node is shutting down"), "the node is shutting down")
         finally:
             del self._cancelled[identifier]
+
+
+class Caller:
+    """The node that has called the service.
+
+    Ctrl-C in `rosservice call` ends the node but not its connection, because rospy keeps waiting for the response.
+    """
+
+    def __init__(self, name: str, connection: socket.socket, clock: Callable[[], float] = time.monotonic) -> None:
+        """Name of the node, and the connection of the call. clock: returns the time [s]."""
+        self._name = name
+        self._connection = connection
+        self._clock = clock
+        self._was_registered = self._is_registered()
+        self._checked_at = clock()
+
+    def has_left(self) -> bool:
+        """Return whether the connection was closed, or the node has unregistered from the master since the call."""
+        if not is_connected(self._connection):
+            return True
+        if not self._was_registered or self._clock() < self._checked_at + _REGISTRATION_PERIOD:
+            return False
+        self._checked_at = self._clock()
+        return not self._is_registered()
+
+    def _is_registered(self) -> bool:
+        """Whether the master knows the node; also if the master does not respond."""
+        try:
+            return bool(rospy.get_master().lookupNode(self._name)[0] == 1)
+        except OSError:
+            return True
 
 
 def is_connected(connection: socket.socket) -> bool:
