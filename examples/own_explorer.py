@@ -4,7 +4,7 @@
 python3 examples/own_explorer.py
 """
 
-import sys
+import argparse
 
 import numpy as np
 
@@ -52,6 +52,8 @@ def variance(log_std, coverage):
 
 
 if __name__ == "__main__":
-    steps = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("steps", type=int, nargs="?", default=200)
+    steps = parser.parse_args().steps
     config = eal.load_config("demo", explorer="sweep", measure="variance", steps=steps)
     print(eal.learn(config).paths.path)

@@ -4,7 +4,7 @@
 python3 examples/read_a_session.py ~/.ros/embodied_active_learning/SESSION
 """
 
-import sys
+import argparse
 
 import numpy as np
 
@@ -38,6 +38,6 @@ def main(path: str) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit(__doc__)
-    main(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("session", help="folder of the session")
+    main(parser.parse_args().session)

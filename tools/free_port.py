@@ -1,5 +1,6 @@
 """Print the preferred TCP port if it is free, else another free one."""
 
+import argparse
 import socket
 import sys
 
@@ -17,4 +18,6 @@ def free_port(preferred: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(f"{free_port(int(sys.argv[1]))}\n")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("preferred", type=int, help="port")
+    sys.stdout.write(f"{free_port(parser.parse_args().preferred)}\n")
