@@ -7,7 +7,7 @@ parameters derive from this module.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Dict, Optional, Tuple
 
@@ -104,7 +104,14 @@ class ExplorationConfig:
 
     explorer: str = setting("ergodic", "exploration strategy", choices=EXPLORERS)
     measure: str = setting("conditional_entropy", "information measure that becomes the target", choices=MEASURES)
-    steps: int = setting(3000, "exploration steps, one observation each", "", 1, 1000000)
+    steps: int = setting(
+        3000, "exploration steps, one observation each; an upper limit with stop: stable", "", 1, 1000000
+    )
+    stop: str = setting(
+        "fixed",
+        "when exploration ends: after all steps (fixed), or as soon as the learned objects no longer change (stable)",
+        choices=("fixed", "stable"),
+    )
     seed: int = setting(0, "random seed", "", 0, 2**31 - 1)
     step_duration: float = setting(0.2, "time between observations", "s", 0.01, 10.0)
     samples: int = setting(1000, "workspace samples S", "", 10, 100000)
@@ -289,6 +296,15 @@ class Config:
         for wrong, message in problems:
             if wrong:
                 raise ConfigError(message)
+
+    @property
+    def may_stop_early(self) -> bool:
+        """Whether the run ends before its last step if the learned objects are stable."""
+        return self.exploration.stop == "stable" and self.training.updates_per_observation > 0
+
+    def with_steps(self, steps: int) -> Config:
+        """Return this configuration with another number of steps."""
+        return replace(self, exploration=replace(self.exploration, steps=steps))
 
     @property
     def updates_planned(self) -> int:

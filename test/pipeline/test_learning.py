@@ -4,17 +4,20 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import genpy
 import numpy as np
 import pytest
+import torch
 
 import embodied_active_learning as eal
 from embodied_active_learning.errors import ConfigError, CorruptFileError, SessionError
-from embodied_active_learning.pipeline import learning
+from embodied_active_learning.objects.stability import Measurement
+from embodied_active_learning.pipeline import learning, stopping
 from embodied_active_learning.pipeline.learning import learn, ros_seconds
 from embodied_active_learning.session import lock
-from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint
+from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint
 from embodied_active_learning.session.summary import read_summary
 from tiny import STEPS, TINY
 
@@ -55,6 +58,26 @@ def test_one_seed_gives_one_result(learned, tmp_path):
     again = learn(tiny(tmp_path))
     for name in ("exploration.csv", "training.csv", "evaluation.csv", "model.safetensors"):
         assert (again.paths.path / name).read_bytes() == (session.paths.path / name).read_bytes(), name
+
+
+def test_run_that_ends_early_is_a_shorter_run(tmp_path, monkeypatch):
+    """It has the files of a run of that many steps, and an interrupted one ends after as many."""
+    monkeypatch.setattr(stopping, "CHECK_EVERY", 2)
+    found = Measurement(0, 0, np.array([[0.4, 0.0]]), 0, 5.0, 0.9, 0.9)
+    monkeypatch.setattr(stopping, "measure", lambda config, learner, evaluation, stored: replace(
+        found, update=evaluation.update, observations=evaluation.observations
+    ))  # fmt: skip
+    reports = []
+    session = learn(tiny(tmp_path, "early", stop="stable"), reports.append)
+    summary = read_summary(session.paths.summary)
+    assert summary.ended == "objects stable"
+    assert summary.steps == reports[-1].steps < STEPS
+    assert reports[-1].stopping.startswith("objects 1 for 4/4 checks")
+    again = learn(tiny(tmp_path, "fixed", steps=summary.steps))
+    for name in ("exploration.csv", "training.csv"):
+        assert (again.paths.path / name).read_bytes() == (session.paths.path / name).read_bytes(), name
+    weights, expected = (load_model(found.paths.model)[0] for found in (session, again))
+    assert all(torch.equal(weights[name], expected[name]) for name in expected)
 
 
 def test_interrupted_run_is_resumed(tmp_path):

@@ -12,6 +12,11 @@ def override(root, **values):
     return [f"{key}={value}" for key, value in given.items()]
 
 
+def test_automatic_steps_stand_for_the_stopping_criterion(tmp_path):
+    exploration = resolve("demo", override(tmp_path, exploration__steps="auto")).exploration
+    assert (exploration.steps, exploration.stop) == (1000, "stable")
+
+
 def test_profile_with_overrides(tmp_path):
     config = resolve("demo", override(tmp_path, exploration__seed=7, simulation__world="right"))
     assert (config.exploration.steps, config.exploration.seed) == (1000, 7)

@@ -15,7 +15,6 @@ from embodied_active_learning.figures.style import (
     default_style,
     new_figure,
     save,
-    spread_indices,
 )
 from embodied_active_learning.figures.top_view import SessionImages
 from embodied_active_learning.figures.workspace_axes import (
@@ -26,6 +25,7 @@ from embodied_active_learning.figures.workspace_axes import (
     show_workspace,
 )
 from embodied_active_learning.geometry import Location
+from embodied_active_learning.images import spread_indices
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.session.session import Session

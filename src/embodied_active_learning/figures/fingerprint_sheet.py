@@ -19,7 +19,6 @@ from embodied_active_learning.figures.style import (
     new_figure,
     place,
     save,
-    spread_indices,
     write,
 )
 from embodied_active_learning.figures.workspace_axes import (
@@ -33,6 +32,7 @@ from embodied_active_learning.figures.workspace_axes import (
     show_workspace,
 )
 from embodied_active_learning.geometry import Location
+from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
 from embodied_active_learning.workspace import Workspace
 

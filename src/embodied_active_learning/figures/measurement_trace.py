@@ -24,7 +24,6 @@ from embodied_active_learning.figures.style import (
     new_figure,
     place,
     save,
-    spread_indices,
     style_axes,
     write,
 )
@@ -38,6 +37,7 @@ from embodied_active_learning.figures.workspace_axes import (
     show_extent,
 )
 from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 from embodied_active_learning.objects.matching import Matches

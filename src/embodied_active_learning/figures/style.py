@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Callable, TypeVar
 
 import matplotlib
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -97,11 +96,6 @@ def label(axes: Axes, x: str = "", y: str = "", title: str = "") -> None:
     axes.set_ylabel(y, fontsize=SMALL)
     if title:
         axes.set_title(title, fontsize=MEDIUM)
-
-
-def spread_indices(count: int, most: int) -> np.ndarray:
-    """Return at most `most` evenly spread indices below `count`."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
 
 
 def save(figure: Figure, path: Path, pdf: bool = False) -> Path:

@@ -140,7 +140,7 @@ class Learner:
     def evaluate(self) -> Evaluation:
         """Evaluate the model on a fixed subset, and its log std over the workspace for the newest latent.
 
-        The subset, `evaluation_size` of the run's `exploration.steps` observations, follows from the seed. Members that
+        The subset, `evaluation_size` of the observations of the whole run, follows from the seed. Members that
         the last update could not use yet are left out; if fewer than two remain, the newest two observations are used.
         Does not draw from the training's generator, so that evaluations do not change the run.
         """
@@ -158,6 +158,10 @@ class Learner:
             log_std_max=float(log_std.max()),
             **measured,
         )
+
+    def end_after(self, steps: int) -> None:
+        """Make the remaining updates of a run that ends after this number of observations."""
+        self._config = self._config.with_steps(steps)
 
     def refresh(self) -> None:
         """Copy the network to the older replica; waits for its readers."""

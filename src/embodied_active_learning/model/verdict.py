@@ -13,6 +13,8 @@ UNUSED, USEFUL = 0.2, 0.5
 """Latent contribution below which the latent is not used, and from which on it is useful."""
 ENOUGH_UPDATES = 1000
 """Updates after which a latent that is not used yet rarely becomes useful."""
+OBJECTS_STABLE, NOTHING_TO_LEARN = "objects stable", "nothing to learn"
+"""Why the stopping criterion ends a run."""
 HIGH_ERGODIC_MEASURE = 0.2
 """[nat] Runs of the ergodic explorer end between 0.03 and 0.1."""
 
@@ -52,6 +54,7 @@ def judge_run(
     mse_shuffled: Optional[float],
     mse_none: Optional[float],
     ergodic_measure: Optional[float],
+    ended: str = "",
 ) -> Verdict:
     """Return the verdict on a run; None for numbers that it does not have.
 
@@ -61,7 +64,10 @@ def judge_run(
         mse_shuffled: From the latents of other images.
         mse_none: Without a latent, from z = 0.
         ergodic_measure: KL divergence between target and visited states [nat].
+        ended: Why the stopping criterion has ended the run; empty if all steps were made.
     """
+    if ended == NOTHING_TO_LEARN:
+        return Verdict(ended, "nothing on the table differs from it; place objects, or check the camera's images")
     if updates == 0:
         return Verdict("not enough steps", "no model update was made; raise exploration/steps")
     if mse_own is None or mse_shuffled is None or mse_none is None:

@@ -107,13 +107,15 @@ class BackgroundTraining:
 
         Waits until training is at most training/max_lag updates behind those due for this many observations.
         """
-        awaited = self._config.updates_awaited(observations)
+        awaited, ready = self.run.config.updates_awaited(observations), False
         if awaited == 0:
             return None  # even if training is ahead, so that runs are reproducible
-        ready = False
         while not ready:
             self.check()
             log_std, _, ready = self.run.log_std(states, max(0, awaited - self._config.training.max_lag))
+            # After an early stop, more updates are awaited.
+            before, awaited = awaited, self.run.config.updates_awaited(observations)
+            ready = ready and awaited == before
         return None if log_std is None else np.asarray(log_std, dtype=np.float64)
 
     def _train(self) -> None:
@@ -131,7 +133,7 @@ def _explore(
     config: Config, simulation: Simulation, training: BackgroundTraining, on_progress: ProgressCallback
 ) -> None:
     """Make the remaining steps, then wait for the remaining updates."""
-    run, steps = training.run, config.exploration.steps
+    run = training.run
     session = Session.open_read_only(run.folder)
     rows = session.read_table("exploration")
     effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
@@ -140,20 +142,20 @@ def _explore(
     with session.open_table("exploration") as table:
         table.truncate_after("step", len(run.trajectory))
         _execute(simulation, _first_command(config, run.trajectory))
-        while exploration.step < steps:
+        while exploration.step < run.config.exploration.steps:
             stamp, state, velocity = ros_seconds(simulation.time), simulation.pose, simulation.velocity
             run.observe(exploration.step, stamp, state.tolist(), simulation.image())
             exploration.observe(state, velocity)
             assessment = exploration.assess(training.log_std(exploration.sample_states, exploration.step))
             table.append(exploration_row(stamp, state, assessment))
             measure = assessment.ergodic_measure
-            on_progress(_progress(config, training, measure))
-            if exploration.step < steps:
+            on_progress(_progress(training, measure))
+            if exploration.step < run.config.exploration.steps:
                 _execute(simulation, exploration.next_command())
     while not run.finished:
         training.check()
         time.sleep(_PROGRESS_PERIOD)
-        on_progress(_progress(config, training, measure))
+        on_progress(_progress(training, measure))
 
 
 def ros_seconds(seconds: float) -> float:
@@ -176,8 +178,8 @@ def _execute(simulation: Simulation, command: Command) -> None:
         simulation.go_to(command.state.tolist())
 
 
-def _progress(config: Config, training: BackgroundTraining, ergodic_measure: float) -> Progress:
-    report = training.report
+def _progress(training: BackgroundTraining, ergodic_measure: float) -> Progress:
+    report, config, check = training.report, training.run.config, training.run.stop_check
     return Progress(
         step=training.run.observations,
         steps=config.exploration.steps,
@@ -187,4 +189,5 @@ def _progress(config: Config, training: BackgroundTraining, ergodic_measure: flo
         active_units=float("nan") if report is None else report.active_units,
         latent_size=config.model.latent_size,
         ergodic_measure=ergodic_measure,
+        stopping="" if check is None else check.describe(),
     )

@@ -23,6 +23,8 @@ class Progress:
     active_units: float = math.nan
     latent_size: int = 0
     ergodic_measure: float = math.nan
+    stopping: str = ""
+    """How far the stopping criterion is; empty if the number of steps is fixed."""
 
     @property
     def share(self) -> float:
@@ -63,8 +65,9 @@ class ProgressLine:
             f"active units {_number(progress.active_units, '.0f')}/{progress.latent_size}",
             f"ergodic measure {_number(progress.ergodic_measure, '.3f')}",
             f"left {duration(self._left.estimate(progress.share))}",
+            progress.stopping,
         ]
-        return "  ".join(parts)
+        return "  ".join(part for part in parts if part)
 
 
 def duration(seconds: float) -> str:

@@ -29,6 +29,8 @@ from embodied_active_learning.simulation.world import find_world, load_world
 
 UNSET = "unset"
 """Default of optional launch arguments: roslaunch --ros-args lists those with an empty default as required."""
+AUTO = "auto"
+"""Value of exploration/steps in launch files that stands for exploration/stop: stable."""
 BRINGUPS = ("all", "nodes", "none")
 """What a launch file starts of the arm: everything, everything but a real arm's drivers, or nothing."""
 
@@ -177,6 +179,8 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
         raise ConfigError(f"override {shown(text)} is malformed: expected section/key=value")
     if not given(value):
         return {}
+    if (section, key, value) == ("exploration", "steps", AUTO):
+        return {section: {"stop": "stable"}}
     try:
         return {section: {key: value if _is_text(section, key) else parse_yaml(value)}}
     except ValueError as error:

@@ -7,7 +7,7 @@ import logging
 import threading
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Callable, Optional, Sequence, Tuple
+from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from embodied_active_learning.errors import ConfigError, CorruptFileError, Obser
 from embodied_active_learning.model.checkpoint import LearnerState, network_weights
 from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
 from embodied_active_learning.model.objective import LossFunction
+from embodied_active_learning.objects.stability import StopCheck
+from embodied_active_learning.pipeline.stopping import EarlyStop
 from embodied_active_learning.session.atomic import remove_file
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
 from embodied_active_learning.session.session import Session
@@ -45,12 +47,14 @@ class TrainingRun:
             self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # content, path
             self._complete = False
             self._diverged_at, self._rollbacks_there = 0, 0
+            self._early_stop = EarlyStop(config) if config.may_stop_early else None
             self._restore()
             self._refreshed = self._learner.replicas.updates  # updates of the newest replica
             # For a rollback before the first checkpoint.
             self._initial = None if self._learner.updates else self._learner.state_dict()
             self._training_table = self._open_table("training")
             self._evaluation_table = self._open_table("evaluation")
+            self._stopping_table = self._open_table("stopping")
             opened.pop_all()
 
     @property
@@ -82,6 +86,16 @@ class TrainingRun:
     def rollbacks(self) -> int:
         """Number of rollbacks to the last good checkpoint."""
         return self._learner.rollbacks
+
+    @property
+    def config(self) -> Config:
+        """The run's configuration, with fewer steps once the stopping criterion has ended the exploration."""
+        return self._config
+
+    @property
+    def stop_check(self) -> Optional[StopCheck]:
+        """The newest check of the stopping criterion; None before the first, and if the number of steps is fixed."""
+        return None if self._early_stop is None else self._early_stop.newest
 
     @property
     def updates_due(self) -> int:
@@ -194,6 +208,7 @@ class TrainingRun:
         """Close the session's files and release its lock."""
         self._training_table.close()
         self._evaluation_table.close()
+        self._stopping_table.close()
         self._store.close()
         self._session.close()
 
@@ -217,9 +232,18 @@ class TrainingRun:
             )
         try:
             self._learner.load_state_dict(LearnerState(checkpoint.tensors, checkpoint.counters))
+            self._restore_early_stop(checkpoint.counters)
         except (ConfigError, CorruptFileError) as error:
             raise type(error)(f"{checkpoint.path}: {error}") from error
         remove_file(self._session.paths.model)  # outdated as soon as training continues
+
+    def _restore_early_stop(self, counters: Mapping[str, Any]) -> None:
+        """Restore the state of the stopping criterion from the counters of a checkpoint, which may have none."""
+        if self._early_stop is not None:
+            self._early_stop = EarlyStop(self._session.config)
+            if "early_stop" in counters:
+                self._early_stop.load_state_dict(counters["early_stop"])
+            self._end_after(self._early_stop.steps)
 
     def _advance(
         self, stop: threading.Event, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]
@@ -238,14 +262,38 @@ class TrainingRun:
         report = self._learner.update()
         self._training_table.append(dataclasses.asdict(report))
         training = self._config.training
-        if report.update % training.evaluate_every == 0 or report.update == self._config.updates_planned:
-            self._evaluation_table.append(dataclasses.asdict(self._learner.evaluate()))
+        stopped = self._evaluate(report.update)
         if report.update % training.updates_per_observation == 0:
             self._learner.refresh_async(self.wake)
             self._refreshed = report.update
-        if report.update % training.checkpoint_every == 0:
+        if report.update % training.checkpoint_every == 0 or stopped:
             self._checkpoint()  # after the refresh, because it stores which model answers queries
         return report
+
+    def _evaluate(self, update: int) -> bool:
+        """Evaluate the model if it is time to; return whether this has ended the exploration."""
+        early_stop = self._early_stop
+        to_check = early_stop is not None and early_stop.is_due(update)
+        to_record = update % self._config.training.evaluate_every == 0 or update == self._config.updates_planned
+        if not to_check and not to_record:
+            return False
+        evaluation = self._learner.evaluate()
+        if to_record:
+            self._evaluation_table.append(dataclasses.asdict(evaluation))
+        if early_stop is None or not to_check:
+            return False
+        check = early_stop.check(self._learner, evaluation, self._store.snapshot())
+        self._stopping_table.append(check)
+        if check.stopped:
+            self._end_after(early_stop.steps)
+            LOG.info("%s: the exploration ends after %d steps", check.reason, self._config.exploration.steps)
+        return check.stopped
+
+    def _end_after(self, steps: Optional[int]) -> None:
+        """End the run after a number of steps, unless it is None."""
+        if steps is not None:
+            self._config = self._config.with_steps(steps)
+            self._learner.end_after(steps)
 
     def _rollback(self, error: DivergenceError) -> None:
         """Continue from the last good model with other batches. Raises the error after ROLLBACKS attempts."""
@@ -260,7 +308,8 @@ class TrainingRun:
             raise DivergenceError(f"{error} (no checkpoint to return to)")
         self._learner.rollback(good)
         self._refreshed = self._learner.replicas.updates
-        for table in (self._training_table, self._evaluation_table):
+        self._restore_early_stop({} if checkpoint is None else checkpoint.counters)
+        for table in (self._training_table, self._evaluation_table, self._stopping_table):
             table.truncate_after("update", self.updates)
         LOG.warning("%s; rollback to the model of update %d", error, self.updates)
 
@@ -315,6 +364,8 @@ class TrainingRun:
                 f"training diverged: {invalid} is not finite at update {self.updates}; lower training/learning_rate"
             )
         counters["observations"] = self.observations
+        if self._early_stop is not None:
+            counters["early_stop"] = self._early_stop.state_dict()
         kept = self._config.training.checkpoints_kept
         path = save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)
         self._checkpointed = content, path

@@ -7,7 +7,7 @@ from typing import Dict, Optional
 
 import numpy as np
 
-from embodied_active_learning.model.verdict import judge_run
+from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, judge_run
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import Summary, readable_summary, write_summary
 
@@ -24,6 +24,7 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
     updates = int(_last(training, "update") or 0)
     errors = {name: _last(evaluation, name) for name in ("mse_own", "mse_shuffled", "mse_none")}
     ergodic_measure = _last(exploration, "ergodic_measure")
+    ended = _reason_to_end(session)
     return Summary(
         finished=finished,
         steps=len(exploration["step"]),
@@ -34,7 +35,8 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
         coverage=_last(exploration, "coverage"),
         distance=_last(exploration, "distance"),
         **errors,
-        verdict=str(judge_run(updates, ergodic_measure=ergodic_measure, **errors)),
+        ended=ended,
+        verdict=str(judge_run(updates, ergodic_measure=ergodic_measure, **errors, ended=ended)),
     )
 
 
@@ -50,6 +52,14 @@ def conclude_launch(session: Session, finished: bool, wall_time: float) -> Summa
     summary = summarise(session, finished, wall_time + (previous.wall_time if previous else 0.0))
     write_summary(session.paths.summary, summary)
     return summary
+
+
+def _reason_to_end(session: Session) -> str:
+    """Return why the stopping criterion has ended the run; empty if it has not."""
+    last = {name: values[-1:] for name, values in session.read_table("stopping").items()}
+    if not session.config.may_stop_early or not last["stopped"].any():
+        return ""
+    return OBJECTS_STABLE if last["objects"].any() else NOTHING_TO_LEARN
 
 
 def _last(table: Dict[str, np.ndarray], column: str) -> Optional[float]:

@@ -32,6 +32,7 @@ class Summary:
     mse_own: Optional[float] = None  # of pixels in [0, 1], each image decoded from its own latent
     mse_shuffled: Optional[float] = None  # ... from the latent of another image
     mse_none: Optional[float] = None  # ... from the mean of the prior
+    ended: str = ""  # why the run ended before exploration/steps, see StopCheck.reason
     verdict: str = ""  # "name: explanation", see judge_run
 
 
@@ -40,6 +41,8 @@ def reopen_summary(path: Path, config: Config) -> None:
     previous = readable_summary(path)
     if previous is None:
         remove_file(path)
+    elif config.may_stop_early and previous.ended:
+        return
     elif previous.steps < config.exploration.steps or previous.updates < config.updates_planned:
         write_summary(path, replace(previous, finished=False))
 

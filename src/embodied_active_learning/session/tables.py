@@ -34,6 +34,10 @@ COLUMNS: Dict[str, Tuple[str, ...]] = {
     "evaluation": (
         "update", "observations", "active_units", "mse_own", "mse_shuffled", "mse_none", "log_std_min", "log_std_max",
     ),
+    "stopping": (
+        "update", "observations", "objects", "undiscovered", "drift", "stable_checks", "contrast",
+        "latent_contribution", "coverage", "stopped",
+    ),
 }
 # fmt: on
 

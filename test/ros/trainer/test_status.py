@@ -17,7 +17,7 @@ CONFIG = Config()
 def run(tmp_path):
     """A training run with 80 observations that has made 10 of 48 updates due."""
     values = {"observations": 80, "updates": 10, "updates_due": 48, "skipped": 0, "rollbacks": 0, "finished": False}
-    return SimpleNamespace(folder=tmp_path, **values)
+    return SimpleNamespace(folder=tmp_path, config=CONFIG, stop_check=None, **values)
 
 
 @pytest.fixture
@@ -38,6 +38,14 @@ def test_message_before_first_update_has_nan_losses(status):
     [message] = status.messages
     assert (message.observations, message.updates, message.updates_due, message.finished) == (80, 10, 48, False)
     assert message.loss != message.loss
+
+
+def test_message_shows_the_stopping_criterion(status, run):
+    run.config, run.stop_check = CONFIG.with_steps(320), SimpleNamespace(describe=lambda: "objects 2")
+    status.publish()
+    [message] = status.messages
+    assert (message.steps, message.updates_planned, message.stopping) == (320, 960, "objects 2")
+    assert status.health().values["stopping"] == "objects 2"
 
 
 def test_message_contains_newest_update(status):

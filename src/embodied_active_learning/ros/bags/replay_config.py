@@ -22,7 +22,9 @@ def resolve_replay(recording: Recording, profile: str, overrides: Sequence[str])
     found = recording.count(preliminary)
     resumed = preliminary.session.resume
     steps = combine("", overrides, recorded=recorded).exploration.steps if resumed else found
-    config = resolve(profile, [f"exploration/steps={steps}", *overrides], recorded=recorded)
+    # The recording has ended already.
+    defaults = [f"exploration/steps={steps}", "exploration/stop=fixed"]
+    config = resolve(profile, [*defaults, *overrides], recorded=recorded)
     steps = config.exploration.steps
     if steps > found:
         raise BagError(f"{recording.path} has {found} observations, {steps} steps were requested: request fewer")

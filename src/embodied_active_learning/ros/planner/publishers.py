@@ -26,7 +26,6 @@ class ExplorationPublisher:
         """Open the session's table, and remove rows after step `steps_done`."""
         self._publisher = rospy.Publisher(names.TARGET_DISTRIBUTION, TargetDistribution, queue_size=10, latch=True)
         self._rviz = RvizExploration(config)
-        self._steps = config.exploration.steps
         self._table = Table(SessionPaths(session).table(TABLE), COLUMNS[TABLE])
         self._table.truncate_after("step", steps_done)
         rows = read_table(self._table.path, self._table.columns)
@@ -35,14 +34,17 @@ class ExplorationPublisher:
         self.effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
         """Effort after that step, see Assessment."""
 
-    def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment) -> None:
-        """Publish the step that ended in a state; append its row unless it was written before a resume."""
+    def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment, last: bool) -> None:
+        """Publish the step that ended in a state; append its row unless it was written before a resume.
+
+        last: whether it is the last step of the run.
+        """
         if assessment.step > self.last_step:
             stamp, (pose, _) = state.header.stamp.to_sec(), state_arrays(state)
             self._table.append(exploration_row(stamp, pose, assessment))
             self.last_step = assessment.step
         self._publisher.publish(_message(state, run, assessment))
-        self._rviz.show_step(state.header.stamp, run, assessment, last=assessment.step == self._steps)
+        self._rviz.show_step(state.header.stamp, run, assessment, last=last)
 
     def report_plan(self, stamp: rospy.Time, states: np.ndarray) -> None:
         """Publish the planned states (H, 3) [m, m, rad] of the next command."""

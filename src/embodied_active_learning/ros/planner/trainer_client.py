@@ -33,9 +33,15 @@ class TrainerClient:
         self._entropy = RetryingService(names.TRAINER_ENTROPY, EvaluateEntropy)
         self._trajectory = RetryingService(names.TRAINER_TRAJECTORY, GetTrajectory)
 
+    @property
+    def steps(self) -> int:
+        """Number of exploration steps of the run, fewer than configured once the trainer has ended it early."""
+        return self._config.exploration.steps
+
     def trajectory(self) -> Tuple[np.ndarray, Path]:
         """Return the states (N, 3) [m, m, rad] of the stored observations, and the session's folder."""
         response = self._trajectory.call(GetTrajectoryRequest())
+        self._config = self._config.with_steps(response.steps)
         return states_array(response.states), Path(response.session)
 
     def observe(self, observation: Observation) -> None:
@@ -56,17 +62,19 @@ class TrainerClient:
         Raises:
             EmbodiedActiveLearningError: the trainer refused the states.
         """
-        awaited = self._config.updates_awaited(observations)
-        if awaited == 0:
+        if self._config.updates_awaited(observations) == 0:
             return None  # even if the trainer is ahead, so that runs are reproducible
-        updates = max(0, awaited - self._config.training.max_lag)
-        request = EvaluateEntropyRequest(updates, np.asarray(states).ravel().tolist())
+        request = EvaluateEntropyRequest(states=np.asarray(states).ravel().tolist())
         made = 0
-        with log_wait(lambda: f"the trainer: update {made} of {updates}"):
+        with log_wait(lambda: f"the trainer: update {made} of {request.min_updates}"):
             while True:
+                awaited = self._config.updates_awaited(observations)
+                request.min_updates = max(0, awaited - self._config.training.max_lag)
                 response = self._entropy.call(request)
                 if not response.success:
                     raise EmbodiedActiveLearningError(f"the trainer returned no entropy: {response.message}")
-                if response.ready:
-                    return np.array(response.log_std) if response.learned else None
                 made = response.updates
+                self._config = self._config.with_steps(response.steps)
+                # After an early stop, more updates are awaited.
+                if response.ready and self._config.updates_awaited(observations) == awaited:
+                    return np.array(response.log_std) if response.learned else None

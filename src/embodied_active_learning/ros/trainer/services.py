@@ -69,6 +69,7 @@ class TrainerServices:
             log_std=[] if log_std is None else log_std.tolist(),
             updates=updates,
             observations=self._run.observations,
+            steps=self._run.config.exploration.steps,
         )
 
     def _encode(self, request: Any) -> EncodeResponse:
@@ -88,4 +89,5 @@ class TrainerServices:
     def _trajectory(self, _request: Any) -> GetTrajectoryResponse:
         """Return the states of all stored observations."""
         states = self._run.trajectory.ravel().tolist()
-        return GetTrajectoryResponse(states, self._run.updates, str(self._run.folder))
+        steps = self._run.config.exploration.steps
+        return GetTrajectoryResponse(states, self._run.updates, steps, str(self._run.folder))

@@ -56,12 +56,14 @@ class TrainerStatus:
     def publish(self) -> None:
         """Publish the newest status."""
         with self._lock:  # so that messages keep their order
-            report = self._report
+            report, config, check = self._report, self._run.config, self._run.stop_check
             status = TrainingStatus(
                 observations=self._run.observations,
                 updates=self._run.updates,
                 updates_due=self._run.updates_due,
-                updates_planned=self._config.updates_planned,
+                updates_planned=config.updates_planned,
+                steps=config.exploration.steps,
+                stopping="" if check is None else check.describe(),
                 updates_per_second=self._updates.per_second,
                 latent_size=self._config.model.latent_size,
                 finished=self._run.finished,
@@ -85,6 +87,7 @@ class TrainerStatus:
             "updates": run.updates,
             "updates due": run.updates_due,
             "updates per second": round(self._updates.per_second, 2),
+            "stopping": "-" if run.stop_check is None else run.stop_check.describe(),
             "active units": getattr(self._report, "active_units", "-"),
             "age of the last observation [s]": rounded(self._observations.age),
             "batches skipped": run.skipped,

@@ -1,0 +1,164 @@
+"""The stopping criterion: a run may end once its learned objects are stable and complete, and the model is useful."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Deque, Dict, Mapping
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, USEFUL
+
+STABLE_CHECKS = 4
+"""Successive checks that must find the same objects."""
+EMPTY_CHECKS = 6
+"""Successive checks that must find no object before there is nothing to learn: objects appear late on some tables."""
+LARGEST_DRIFT = 0.01  # m
+"""Distance by which the centre of a stable object may differ between these checks."""
+LEAST_COVERAGE = 0.6
+"""Smallest workspace coverage k; the ergodic explorer reaches it after about 200 steps, a random walk after 900."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a check of the stopping criterion is based on.
+
+    Attributes:
+        update: Number of model updates.
+        observations: Number of observations that the model has learned from.
+        centres: (K, 2) clusters of the conditional entropy [m], without the blank region.
+        undiscovered: Number of visible things that no cluster explains.
+        contrast: Largest over smallest predicted standard deviation.
+        latent_contribution: Share of the reconstruction error that the latent removes.
+        coverage: Workspace coverage k.
+    """
+
+    update: int
+    observations: int
+    centres: np.ndarray
+    undiscovered: int
+    contrast: float
+    latent_contribution: float
+    coverage: float
+
+
+@dataclass(frozen=True)
+class StopCheck:
+    """Result of a check: how far each part of the criterion is.
+
+    Attributes:
+        objects: Number of clusters.
+        drift: Largest distance between an object's centre and that of the previous check [m]; NaN if the number of
+            objects has changed.
+        stable_checks: Number of successive checks, including this one, that found the same objects.
+        stopped: Whether the run may end.
+
+    The others are those of the measurement.
+    """
+
+    update: int
+    observations: int
+    objects: int
+    undiscovered: int
+    drift: float
+    stable_checks: int
+    contrast: float
+    latent_contribution: float
+    coverage: float
+    stopped: bool
+
+    @property
+    def reason(self) -> str:
+        """Why the run ends: OBJECTS_STABLE or NOTHING_TO_LEARN; empty if it does not."""
+        if not self.stopped:
+            return ""
+        return OBJECTS_STABLE if self.objects else NOTHING_TO_LEARN
+
+    def describe(self) -> str:
+        """Return each part with what it needs, for a progress line."""
+        needed = STABLE_CHECKS if self.objects else EMPTY_CHECKS
+        drift = "" if np.isnan(self.drift) or not self.objects else f", drift {100.0 * self.drift:.1f} cm"
+        latent = f"  latent {100.0 * self.latent_contribution:.0f}/{100.0 * USEFUL:.0f} %" if self.objects else ""
+        return (
+            f"objects {self.objects} for {self.stable_checks}/{needed} checks{drift}  undiscovered {self.undiscovered}"
+            f"{latent}  coverage {self.coverage:.2f}/{LEAST_COVERAGE:g}"
+        )
+
+
+class StoppingCriterion:
+    """Decides from regular measurements whether the objects are learned.
+
+    A run may end if successive checks agree on number and centres of the objects, every visible thing is one of them,
+    the latent removes at least half of the reconstruction error, and the workspace is covered. Stable clusters alone
+    are not enough: they can be those of the first objects found. Without objects and visible things there is nothing
+    to learn, and the latent need not contribute.
+    """
+
+    def __init__(self) -> None:
+        self._centres: Deque[np.ndarray] = deque(maxlen=max(STABLE_CHECKS, EMPTY_CHECKS))
+
+    def add(self, measured: Measurement) -> StopCheck:
+        """Take in a measurement and return the check."""
+        drift = largest_distance(measured.centres, self._centres[-1]) if self._centres else np.nan
+        self._centres.append(_points(measured.centres))
+        agreeing, objects = self._agreeing(), len(measured.centres)
+        enough = STABLE_CHECKS if objects else EMPTY_CHECKS
+        useful = measured.latent_contribution >= USEFUL or not objects
+        return StopCheck(
+            update=measured.update,
+            observations=measured.observations,
+            objects=objects,
+            undiscovered=measured.undiscovered,
+            drift=drift,
+            stable_checks=agreeing,
+            contrast=measured.contrast,
+            latent_contribution=measured.latent_contribution,
+            coverage=measured.coverage,
+            stopped=bool(
+                agreeing >= enough and useful and measured.undiscovered == 0 and measured.coverage >= LEAST_COVERAGE
+            ),
+        )
+
+    def state_dict(self) -> Dict[str, Any]:
+        """Return the centres of the last checks as plain data."""
+        return {"centres": [centres.tolist() for centres in self._centres]}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore state_dict(). Raises CorruptFileError."""
+        try:
+            restored = [_points(centres) for centres in state["centres"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise CorruptFileError(f"invalid state of the stopping criterion: {error!r}") from error
+        self._centres.clear()
+        self._centres.extend(restored)
+
+    def _agreeing(self) -> int:
+        """Number of last checks, one after the other, whose objects are those of the newest."""
+        newest, count = self._centres[-1], 0
+        for centres in reversed(self._centres):
+            if not largest_distance(centres, newest) <= LARGEST_DRIFT:
+                break
+            count += 1
+        return count
+
+
+def _points(values: Any) -> np.ndarray:
+    return np.array(values, dtype=np.float64).reshape(-1, 2)
+
+
+def largest_distance(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the largest distance between matched points (K, 2), 0 without points; NaN if their numbers differ."""
+    if len(one) != len(other):
+        return float("nan")
+    distances = np.linalg.norm(one[:, np.newaxis] - other[np.newaxis], axis=-1)
+    rows, columns = linear_sum_assignment(distances)
+    return float(distances[rows, columns].max(initial=0.0))
+
+
+def count_unexplained(things: np.ndarray, centres: np.ndarray, distance: float) -> int:
+    """Return how many things (N, 2) lie farther than a distance from all centres (K, 2); all in metres."""
+    distances = np.linalg.norm(things[:, np.newaxis] - centres[np.newaxis], axis=-1)
+    return int((distances.min(axis=1, initial=np.inf) > distance).sum())

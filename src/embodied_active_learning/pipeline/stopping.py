@@ -1,0 +1,101 @@
+"""Early stop of a training run: regular checks whether its objects are learned, and the resulting number of steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Dict, Mapping, Optional
+
+import numpy as np
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.model.learner import Learner
+from embodied_active_learning.model.metrics import Evaluation
+from embodied_active_learning.model.trained_model import TrainedModel
+from embodied_active_learning.model.verdict import ReconstructionErrors
+from embodied_active_learning.objects.clustering import find_objects
+from embodied_active_learning.objects.fingerprint import OBJECT
+from embodied_active_learning.objects.foreground_map import visible_things
+from embodied_active_learning.objects.stability import Measurement, StopCheck, StoppingCriterion, count_unexplained
+from embodied_active_learning.session.observations import Observations
+
+CHECK_EVERY = 50
+"""Observations between two checks."""
+_LATENTS, _SAMPLES = 4, 400
+"""Fewer than for fingerprints, because a check must take little time; centres differ by a few millimetres."""
+
+
+class EarlyStop:
+    """The stopping criterion of a run, and the number of steps after which the run ends."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._criterion = StoppingCriterion()
+        self.steps: Optional[int] = None
+        """Number of steps of the run; None until it is decided."""
+        self.newest: Optional[StopCheck] = None
+        """The newest check since the start of the program."""
+
+    def is_due(self, update: int) -> bool:
+        """Return whether a check follows this update (from 1)."""
+        return self.steps is None and update % (CHECK_EVERY * self._config.training.updates_per_observation) == 0
+
+    def check(self, learner: Learner, evaluation: Evaluation, stored: Observations) -> StopCheck:
+        """Check the model after an update, and set `steps` if the run may end.
+
+        The check depends on the observations that the model has learned from, not on those that came since: a run in
+        lock-step ends after the same number of steps each time.
+
+        Args:
+            learner: The run's learner, between two updates.
+            evaluation: The evaluation after this update.
+            stored: All stored observations.
+        """
+        check = self._criterion.add(measure(self._config, learner, evaluation, stored))
+        if check.stopped:
+            training = self._config.training
+            # A planner in lock-step receives this model, and with it the decision, after that many observations.
+            awaiting = training.first_update_at + evaluation.update // training.updates_per_observation
+            self.steps = min(self._config.exploration.steps, max(awaiting, len(stored.stamps)))
+        self.newest = check
+        return check
+
+    def state_dict(self) -> Dict[str, Any]:
+        """Return the state as plain data."""
+        return {"steps": self.steps, **self._criterion.state_dict()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore state_dict(). Raises CorruptFileError."""
+        steps = state.get("steps") if isinstance(state, Mapping) else ""
+        if not (steps is None or (isinstance(steps, int) and self._config.training.first_update_at <= steps)):
+            raise CorruptFileError(f"invalid state of the stopping criterion: steps is {steps!r}")
+        self._criterion.load_state_dict(state)
+        self.steps = None if steps is None else min(steps, self._config.exploration.steps)
+
+
+def measure(config: Config, learner: Learner, evaluation: Evaluation, stored: Observations) -> Measurement:
+    """Return what the stopping criterion needs to know about the learner's model.
+
+    Args:
+        config: The run's configuration.
+        learner: The run's learner, between two updates.
+        evaluation: The evaluation after the last update.
+        stored: All stored observations.
+    """
+    count = evaluation.observations
+    states, images = stored.raw_states[:count], stored.images[:count]
+    settings = replace(config.fingerprint, latents=_LATENTS, samples=_SAMPLES)
+    model = TrainedModel(config, dict(learner.network.state_dict()))
+    found = find_objects(model, states, images, replace(config, fingerprint=settings), config.exploration.seed)
+    objects = [cluster.centre[:2] for cluster in (*found.clusters, *found.unreachable) if cluster.kind == OBJECT]
+    centres: np.ndarray = np.array(objects, dtype=np.float64).reshape(-1, 2)
+    errors = ReconstructionErrors(evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none)
+    return Measurement(
+        update=evaluation.update,
+        observations=count,
+        centres=centres,
+        undiscovered=count_unexplained(visible_things(states, images, config), centres, settings.merge_distance),
+        contrast=found.contrast,
+        latent_contribution=errors.latent_contribution,
+        coverage=learner.schedule.coverage,
+    )
