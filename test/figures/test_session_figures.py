@@ -25,6 +25,7 @@ from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.session.checkpoints import save_model
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.workspace import Workspace
 
 # Discs on the table: (colour, x [m], y [m], radius [m]).
@@ -149,6 +150,15 @@ def test_session_figures_of_finished_run(tmp_path):
         assert path.parent == session.paths.figures
         assert_picture(path, width)
     assert sorted(path.name for path in session.paths.figures.iterdir()) == sorted(path.name for path in paths)
+
+
+def test_stopping_criterion_has_a_figure(tmp_path):
+    session = make_session(tmp_path, count=2)
+    with session.paths.table("stopping").open("x") as stream:
+        stream.write(f"{','.join(COLUMNS['stopping'])}\n150,113,0,2,nan,1,1.6,0.0,0.5,0\n300,163,2,0,,1,3.0,0.6,0.6,1\n")
+    figures = draw_session_figures(session)
+    assert [path.name for path in figures] == ["learning_metrics.png", "stopping.png"]
+    assert_picture(figures[1], 880)
 
 
 def test_figures_are_written_as_pdf_on_request(tmp_path):

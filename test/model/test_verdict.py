@@ -46,6 +46,12 @@ def test_verdict_names_a_remedy(errors, remedy):
     assert remedy in judge_run(3000, *errors, 0.1).explanation
 
 
+def test_empty_table_has_its_own_verdict():
+    verdict = judge_run(900, 0.001, 0.001, 0.001, 0.05, "nothing to learn")
+    assert verdict.name == "nothing to learn"
+    assert not verdict.healthy
+
+
 def test_latent_contribution_is_relative_to_the_better_alternative():
     assert ReconstructionErrors(0.01, 0.1, 0.05).latent_contribution == pytest.approx(0.8)
     assert ReconstructionErrors(0.05, 0.1, 0.05).latent_contribution == 0.0

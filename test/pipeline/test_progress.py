@@ -17,6 +17,10 @@ def test_remaining_time_follows_the_pace():
     assert "left 1:00" in text
 
 
+def test_stopping_criterion_ends_the_line():
+    assert ProgressLine().describe(Progress(50, 100, 150, 300, stopping="objects 2")).endswith("left -  objects 2")
+
+
 def test_stalled_run_has_no_remaining_time():
     now = [0.0]
     line = ProgressLine(clock=lambda: now[0])

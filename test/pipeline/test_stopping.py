@@ -26,7 +26,7 @@ def quick_checks(monkeypatch):
 def find(monkeypatch, centres):
     """Let every check find objects at these centres (K, 2)."""
 
-    def measure(config, learner, evaluation, stored):
+    def measure(config, model, evaluation, coverage, stored):
         return Measurement(evaluation.update, evaluation.observations, centres, 0, 5.0, 0.9, 0.9)
 
     monkeypatch.setattr(stopping, "measure", measure)

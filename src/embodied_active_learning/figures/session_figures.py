@@ -9,6 +9,7 @@ from typing import List, Optional, Sequence
 from embodied_active_learning.figures.entropy_map import draw_entropy
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
 from embodied_active_learning.figures.reconstructions import draw_reconstructions
+from embodied_active_learning.figures.stopping import draw_stopping
 from embodied_active_learning.figures.top_view import SessionImages, load_session_images
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.session.session import Session
@@ -35,9 +36,11 @@ def draw_session_figures(
     folder, pdf = session.paths.figures, session.config.session.pdf_figures
     loaded = load_session_images(session) if images is None else images
     paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: loaded)]
+    if len(session.read_table("stopping")["update"]):
+        paths.append(draw_stopping(folder / "stopping.png", session))
     trained = load_session_model(session)
     if trained is None:
-        _LOG.info("%s has no trained model yet: only %s was drawn", session.paths.path, paths[0].name)
+        _LOG.info("%s has no trained model yet: no entropy map was drawn", session.paths.path)
         return paths
     paths.append(draw_entropy(folder / "entropy.png", session, trained.model, loaded, objects))
     paths.append(draw_reconstructions(folder / "reconstructions.png", trained.model, loaded.observations, pdf))

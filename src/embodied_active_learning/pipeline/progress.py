@@ -78,21 +78,22 @@ def duration(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02d}"
 
 
-def _number(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else "-"
-
-
 def describe_summary(summary: Summary) -> str:
     """Return the summary of a run as text."""
 
     def number(value: Optional[float]) -> str:
         return "-" if value is None else f"{value:.3g}"
 
+    reason = f", {summary.ended}" if summary.ended else ""
     return (
-        f"finished: {summary.steps} steps and {summary.updates} updates in {duration(summary.wall_time)} min\n"
+        f"finished: {summary.steps} steps and {summary.updates} updates in {duration(summary.wall_time)} min{reason}\n"
         f"  active units {number(summary.active_units)}, ergodic measure {number(summary.ergodic_measure)}, "
         f"coverage {number(summary.coverage)}, distance {number(summary.distance)} m\n"
         f"  mean squared error with own / shuffled / no latent: "
         f"{number(summary.mse_own)} / {number(summary.mse_shuffled)} / {number(summary.mse_none)}\n"
         f"  verdict  {summary.verdict}"
     )
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "-"

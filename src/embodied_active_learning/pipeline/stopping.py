@@ -21,7 +21,7 @@ from embodied_active_learning.session.observations import Observations
 
 CHECK_EVERY = 50
 """Observations between two checks."""
-_LATENTS, _SAMPLES = 4, 400
+_LATENTS, _SAMPLES = 3, 250
 """Fewer than for fingerprints, because a check must take little time; centres differ by a few millimetres."""
 
 
@@ -51,7 +51,8 @@ class EarlyStop:
             evaluation: The evaluation after this update.
             stored: All stored observations.
         """
-        check = self._criterion.add(measure(self._config, learner, evaluation, stored))
+        model = TrainedModel(self._config, dict(learner.network.state_dict()))
+        check = self._criterion.add(measure(self._config, model, evaluation, learner.schedule.coverage, stored))
         if check.stopped:
             training = self._config.training
             # A planner in lock-step receives this model, and with it the decision, after that many observations.
@@ -73,19 +74,21 @@ class EarlyStop:
         self.steps = None if steps is None else min(steps, self._config.exploration.steps)
 
 
-def measure(config: Config, learner: Learner, evaluation: Evaluation, stored: Observations) -> Measurement:
-    """Return what the stopping criterion needs to know about the learner's model.
+def measure(
+    config: Config, model: TrainedModel, evaluation: Evaluation, coverage: float, stored: Observations
+) -> Measurement:
+    """Return what the stopping criterion needs to know about a model.
 
     Args:
         config: The run's configuration.
-        learner: The run's learner, between two updates.
-        evaluation: The evaluation after the last update.
-        stored: All stored observations.
+        model: The model after an update.
+        evaluation: The evaluation of this model.
+        coverage: Workspace coverage k after this update.
+        stored: Stored observations, at least those that the model has learned from.
     """
     count = evaluation.observations
     states, images = stored.raw_states[:count], stored.images[:count]
     settings = replace(config.fingerprint, latents=_LATENTS, samples=_SAMPLES)
-    model = TrainedModel(config, dict(learner.network.state_dict()))
     found = find_objects(model, states, images, replace(config, fingerprint=settings), config.exploration.seed)
     objects = [cluster.centre[:2] for cluster in (*found.clusters, *found.unreachable) if cluster.kind == OBJECT]
     centres: np.ndarray = np.array(objects, dtype=np.float64).reshape(-1, 2)
@@ -97,5 +100,5 @@ def measure(config: Config, learner: Learner, evaluation: Evaluation, stored: Ob
         undiscovered=count_unexplained(visible_things(states, images, config), centres, settings.merge_distance),
         contrast=found.contrast,
         latent_contribution=errors.latent_contribution,
-        coverage=learner.schedule.coverage,
+        coverage=coverage,
     )

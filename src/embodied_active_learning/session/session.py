@@ -99,7 +99,7 @@ class Session:
         return ObservationStore.open_for_writing(self.paths.observations, workspace, shape, capacity)
 
     def open_table(self, name: str) -> Table:
-        """Open a table to append to: exploration, training or evaluation.
+        """Open a table to append to: exploration, training, evaluation or stopping.
 
         Each table has its own lock, so that planner and trainer can write different ones.
         """

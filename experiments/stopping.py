@@ -1,0 +1,156 @@
+#!/usr/bin/env python3
+"""Evaluate the stopping criterion (exploration/stop: stable) on random worlds against fixed numbers of steps.
+
+    source setup.bash && OMP_NUM_THREADS=1 python3 experiments/stopping.py 2-1 3-7 [--steps 1000] [--reserved]
+
+A world is COUNT-SEED: its number of objects (0: an empty table) and the seed of objects, places and table. Each is
+learned once with a fixed number of steps, and its model is checked at every 50 steps as the criterion would: a run that
+ends early is the beginning of the longer one. The script can be interrupted at any time and skips finished worlds. It
+writes two tables: the checks of each world, and its objects at the stop and after the fixed numbers of steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import shutil
+from pathlib import Path
+from typing import Any, Dict, List
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+import embodied_active_learning as eal
+from embodied_active_learning.model.checkpoint import network_weights
+from embodied_active_learning.model.metrics import Evaluation
+from embodied_active_learning.model.trained_model import TrainedModel
+from embodied_active_learning.objects.clustering import find_objects
+from embodied_active_learning.objects.fingerprint import OBJECT
+from embodied_active_learning.objects.report import SAME_PLACE
+from embodied_active_learning.objects.stability import StoppingCriterion
+from embodied_active_learning.pipeline.stopping import CHECK_EVERY, measure
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import read_summary
+from embodied_active_learning.session.tensor_files import read_tensors
+from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world, write_world
+from embodied_active_learning.simulation.truth import true_objects
+
+FIXED = (300, 600, 1000, 3000)  # steps
+KINDS = 6  # procedural objects to draw from, beside the shipped ones
+CHECKS = "world steps objects undiscovered drift stable_checks contrast latent_contribution coverage stopped"
+OBJECTS = "world rule steps minutes true found matched right error_cm"
+
+
+def world_file(root: Path, count: int, seed: int, reserved: bool) -> Path:
+    """Return a world of objects on a random table; reserved worlds have other procedural objects."""
+    path = root / f"{count}-{seed}{'-reserved' if reserved else ''}.yaml"
+    if not path.exists():
+        numbers = np.random.default_rng(seed + 7000).permutation(500)[:60] + (500 if reserved else 0)
+        names = (f"random_urdfs/{number:03d}" for number in numbers)
+        kinds = (*SHIPPED, *[name for name in names if is_wide(name)][:KINDS])
+        write_world(random_world(seed, count, kinds=kinds), path)
+    return path
+
+
+def learn(world: Path, root: Path, steps: int) -> Session:
+    """Learn a world with a checkpoint for every check, unless that was done before."""
+    path = root / world.stem
+    if (path / "summary.yaml").exists():
+        return Session.open_read_only(path)
+    shutil.rmtree(path, ignore_errors=True)
+    every = 3 * CHECK_EVERY
+    training = {"checkpoint_every": every, "checkpoints_kept": 1000, "evaluate_every": every, "threads": 1}
+    session = {"name": path.name, "root": str(root)}
+    return eal.learn(eal.load_config("demo", world=str(world), steps=steps, seed=1, session=session, training=training))
+
+
+def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
+    """Return the checks of a session, and its objects at the stop and after fixed numbers of steps."""
+    config, criterion = session.config, StoppingCriterion()
+    evaluations, training = session.read_table("evaluation"), session.read_table("training")
+    minutes = read_summary(session.paths.summary).wall_time / 60.0
+    truth = np.array([item[1:] for item in true_objects(config)], dtype=float).reshape(-1, 2)
+    rows: Dict[str, List[Dict[str, Any]]] = {"checks": [], "objects": []}
+    with session.open_observations() as store:
+        stored = store.snapshot()
+    for index, update in enumerate(evaluations["update"].astype(int)):
+        values = {name: column[index] for name, column in evaluations.items()}
+        evaluation = Evaluation(**{**values, "update": int(update), "observations": int(values["observations"])})
+        path = session.paths.checkpoints / f"checkpoint_{update:09d}.safetensors"
+        model = TrainedModel(config, network_weights(read_tensors(path, "checkpoint")[0]))
+        steps = config.training.first_update_at + update // config.training.updates_per_observation
+        rules = [f"fixed {fixed}" for fixed in FIXED if steps - CHECK_EVERY < fixed <= steps]
+        check = criterion.add(measure(config, model, evaluation, float(training["coverage"][update - 1]), stored))
+        if check.stopped and not any(row["rule"] == "stable" for row in rows["objects"]):
+            rules.append("stable")
+        rows["checks"].append(
+            {"world": session.name, "steps": steps, **{name: getattr(check, name) for name in CHECKS.split()[2:]}}
+        )
+        count = evaluation.observations
+        for rule in rules:
+            found = find_objects(model, stored.raw_states[:count], stored.images[:count], config, 1)
+            centres = [item.centre[:2] for item in (*found.clusters, *found.unreachable) if item.kind == OBJECT]
+            share = update / evaluations["update"][-1]
+            facts = {"world": session.name, "rule": rule, "steps": steps, "minutes": round(share * minutes, 2)}
+            rows["objects"].append({**facts, **compare(np.array(centres).reshape(-1, 2), truth)})
+    return rows
+
+
+def compare(found: np.ndarray, truth: np.ndarray) -> Dict[str, Any]:
+    """Compare the centres of clusters (K, 2) with those of the true objects (N, 2) [m]."""
+    distances = np.linalg.norm(found[:, np.newaxis] - truth[np.newaxis], axis=-1)
+    errors = distances[linear_sum_assignment(distances)]
+    errors = errors[errors <= SAME_PLACE]
+    right = len(errors) == len(truth) == len(found)
+    error = round(100.0 * float(np.median(errors)), 2) if len(errors) else ""
+    return {"true": len(truth), "found": len(found), "matched": len(errors), "right": int(right), "error_cm": error}
+
+
+def read_rows(path: Path) -> List[Dict[str, str]]:
+    """Return the rows of a table; none if it does not exist."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def append_rows(path: Path, columns: str, rows: List[Dict[str, Any]]) -> None:
+    """Append rows to a table, with a header if it is new."""
+    is_new = not path.exists()
+    with path.open("a", newline="") as stream:
+        writer = csv.DictWriter(stream, columns.split())
+        if is_new:
+            writer.writeheader()
+        writer.writerows(rows)
+
+
+def main() -> None:
+    """Learn and evaluate the worlds that are not in the tables yet."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("worlds", nargs="+", help="COUNT-SEED, such as 2-1")
+    parser.add_argument("--steps", type=int, default=1000, help="fixed number of steps of each run")
+    parser.add_argument("--reserved", action="store_true", help="other objects, for a final report")
+    parser.add_argument("--root", type=Path, default=Path("~/.ros/embodied_active_learning/stopping"))
+    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results")
+    parser.add_argument("--keep", action="store_true", help="keep the checkpoints, about 1.5 GB for each world")
+    options = parser.parse_args()
+    root, results = options.root.expanduser(), options.results
+    root.mkdir(parents=True, exist_ok=True)
+    results.mkdir(parents=True, exist_ok=True)
+    for name in options.worlds:
+        count, seed = map(int, name.split("-"))
+        world = world_file(root, count, seed, options.reserved)
+        if any(row["world"] == world.stem for row in read_rows(results / "stopping_checks.csv")):
+            continue
+        session = learn(world, root, options.steps)
+        rows = evaluate(session)
+        append_rows(results / "stopping_objects.csv", OBJECTS, rows["objects"])
+        append_rows(results / "stopping_checks.csv", CHECKS, rows["checks"])
+        for row in rows["objects"]:
+            print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+        if not options.keep:
+            shutil.rmtree(session.paths.checkpoints)
+
+
+if __name__ == "__main__":
+    main()
