@@ -3,8 +3,11 @@
 # make check   lint and unit tests in parallel, without a ROS master: about two minutes on two cores
 # make test    make check, then the tests with nodes
 # make docs    generated files of docs/ and config/, and API pages in build/docs
+# make figures figures and tables of docs/results.md from experiments/results, in about a minute
+# make paper   all missing runs and measurements of docs/results.md, then the figures; hours, can be interrupted
+# make check-results  shortened experiments: a sweep, its comparison and the coverage benchmark, about two minutes
 # make bench   all benchmarks: tables and build/benchmarks.json
-.PHONY: all install build demo check test bench bench-docs lint format docs clean
+.PHONY: all install build demo check test bench bench-docs figures paper check-results lint format docs clean
 
 SHELL := /bin/bash
 VENV := .venv
@@ -44,6 +47,15 @@ bench: build
 
 bench-docs: build
 	source ./setup.bash && python3 benchmarks/run_all.py build/benchmarks.json --docs
+
+figures: build
+	source ./setup.bash && python3 experiments/figures.py
+
+paper: build
+	tools/paper.sh $(PAPER_ARGS)
+
+check-results: build
+	tools/check_results.sh
 
 # tools/ is not installed, and the checkout may have any name.
 lint: build

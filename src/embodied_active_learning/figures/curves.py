@@ -58,26 +58,30 @@ def draw_curves(path: Path, panels: Mapping[str, Sequence[Curve]], axis: Mapping
     columns = min(_MOST_COLUMNS, max(1, len(panels)))
     rows = math.ceil(len(panels) / columns)
     figure = new_figure(_WIDTH * columns, _HEIGHT * rows + 0.4)
+    names = list(dict.fromkeys(curve.label for curves in panels.values() for curve in curves))
+    colours = {name: colour(index) for index, name in enumerate(names)}
     grid = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes in grid[len(panels) :]:
         axes.set_axis_off()
     for axes, (name, curves) in zip(grid, panels.items()):
-        for index, curve in enumerate(curves):
-            axes.plot(curve.x, curve.mean, color=colour(index), linewidth=1.2, label=curve.label)
-            axes.fill_between(curve.x, curve.low, curve.high, color=colour(index), alpha=0.2, linewidth=0)
+        for curve in curves:
+            axes.plot(curve.x, curve.mean, color=colours[curve.label], linewidth=1.2, label=curve.label)
+            axes.fill_between(curve.x, curve.low, curve.high, color=colours[curve.label], alpha=0.2, linewidth=0)
         if _spans_decades([curve.mean for curve in curves]):
             axes.set_yscale("log")
         style_axes(axes)
         label(axes, axis[name], name)
-    if panels:
-        grid[0].legend(fontsize=SMALL, frameon=False)
+    if names:
+        handles = {line.get_label(): line for axes in grid[: len(panels)] for line in axes.get_lines()}
+        entries = [handles[name] for name in names]
+        figure.legend(entries, names, loc="outside lower center", ncols=len(names), fontsize=SMALL, frameon=False)
     if title:
         figure.suptitle(title, fontsize=LARGE)
     return save(figure, path, pdf=True)
 
 
 def _spans_decades(values: Sequence[np.ndarray]) -> bool:
-    everything = np.concatenate([np.asarray(part)[np.isfinite(part)] for part in values])
+    everything: np.ndarray = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
     if not len(everything) or everything.min() <= 0.0:
         return False
     return bool(np.log10(everything.max() / everything.min()) > _DECADES)

@@ -1,0 +1,108 @@
+#!/usr/bin/env python3
+"""Draw the figures and tables of docs/results.md from the committed CSV files in experiments/results/.
+
+    source setup.bash && python3 experiments/figures.py
+
+Figures are written to docs/images/results/ as PNG and PDF; the tables replace the marked blocks of docs/results.md.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import List
+
+from embodied_active_learning.evaluation.result_tables import (
+    Rows,
+    group_table,
+    mean_table,
+    replace_block,
+    row_curves,
+    run_table,
+)
+from embodied_active_learning.figures.curves import draw_curves
+from embodied_active_learning.sweep.comparison import compare_columns, group_records
+from embodied_active_learning.sweep.csv_files import read_rows
+from embodied_active_learning.sweep.record_figures import draw_record_metrics
+from embodied_active_learning.sweep.records import Record, has_record, load_record
+from embodied_active_learning.sweep.spec import load_sweep
+
+EXPERIMENTS = Path(__file__).resolve().parent
+RESULTS, PAGE = EXPERIMENTS / "results", EXPERIMENTS.parent / "docs" / "results.md"
+IMAGES = PAGE.parent / "images" / "results"
+MEASURES = ("ergodic_measure", "coverage", "active_units", "mse_own", "mse_shuffled", "mse_none", "distance")
+
+
+def main() -> None:
+    """Draw everything of which there are results."""
+    for draw, name in ((coverage, "coverage"), (ergodicity, "ergodicity")):
+        if (RESULTS / name).is_dir():
+            draw()
+    for draw_runs, sweep in ((learning_metrics, "learning_metrics"), (ablations, "ablations")):
+        records = records_of(sweep)
+        lines = draw_runs(records) if records else []
+        replace_block(PAGE, sweep, [missing(sweep, records), *lines])
+
+
+def learning_metrics(records: List[Record]) -> List[str]:
+    """Draw the paper's figure. Return the table of all runs."""
+    draw_record_metrics(IMAGES / "learning_metrics.png", records)
+    return ["", *run_table(records)]
+
+
+def ablations(records: List[Record]) -> List[str]:
+    """Draw the curves of the variants. Return the tables of means and of all runs."""
+    groups = group_records(records, "variant")
+    curves = compare_columns(groups)
+    wanted = {"ergodic_measure": "exploration", "effort": "exploration", "active_units": "evaluation"}
+    wanted.update(dict.fromkeys(("mse_own", "mse_shuffled", "mse_none"), "evaluation"))
+    panels = {name: curves[table, name] for name, table in wanted.items() if (table, name) in curves}
+    axes = {name: "step" if table == "exploration" else "update" for name, table in wanted.items()}
+    draw_curves(IMAGES / "ablations.png", panels, axes)
+    return ["", *group_table(groups, MEASURES), "", *run_table(records)]
+
+
+def coverage() -> None:
+    """Draw both measures over the length of trajectories, and list them."""
+    rows = read_rows(RESULTS / "coverage" / "coverage.csv")
+    panels, lines = {}, []
+    for density in dict.fromkeys(row["density"] for row in rows):
+        chosen = [row for row in rows if row["density"] == density]
+        for name, column in (("spectral metric", "spectral"), ("KL measure [nat]", "kl")):
+            panels[f"{name}, {density}"] = row_curves(chosen, "method", "steps", column)
+            lines += [f"{density}, {name}:", "", *mean_table(chosen, "method", "steps", column), ""]
+    draw_curves(IMAGES / "coverage.png", panels, dict.fromkeys(panels, "steps"))
+    lines += ["Processor time per step [ms]:", "", *mean_table(rows, "method", "steps", "ms_per_step")]
+    replace_block(PAGE, "coverage", lines)
+
+
+def ergodicity() -> None:
+    """Draw how averages along runs approach those of independent views."""
+    rows = read_rows(RESULTS / "ergodicity" / "ergodicity.csv")
+    panels, lines = {}, []
+    for reference in ("h", "uniform"):
+        chosen: Rows = [row for row in rows if row["reference"] == reference]
+        for name, column in (("error of averages [std]", "error"), ("p-value of MMD", "p_value")):
+            panels[f"{name}, {reference}"] = row_curves(chosen, "explorer", "steps", column)
+        lines += [f"Error of averages against {reference}:", "", *mean_table(chosen, "explorer", "steps", "error"), ""]
+        lines += [f"p-value against {reference}:", "", *mean_table(chosen, "explorer", "steps", "p_value"), ""]
+    draw_curves(IMAGES / "ergodicity.png", panels, dict.fromkeys(panels, "steps"))
+    replace_block(PAGE, "ergodicity", lines[:-1])
+
+
+def records_of(sweep: str) -> List[Record]:
+    """Return the records of a sweep, in the order of its runs."""
+    runs = load_sweep(EXPERIMENTS / f"{sweep}.yaml").runs
+    return [load_record(RESULTS / sweep / run.name) for run in runs if has_record(RESULTS / sweep / run.name)]
+
+
+def missing(sweep: str, records: List[Record]) -> str:
+    """Return a sentence that states which runs of a sweep have not been made."""
+    names = {record.name for record in records}
+    planned = [run.name for run in load_sweep(EXPERIMENTS / f"{sweep}.yaml").runs]
+    absent = [name for name in planned if name not in names]
+    made = f"{len(planned) - len(absent)} of {len(planned)} runs are made."
+    return f"{made} Missing: {', '.join(absent)}." if absent else made
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""Tables and curves of the experiments' results, as Markdown lines and as data for figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Iterable, List, Mapping, Optional, Sequence
+
+import numpy as np
+
+from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.figures.curves import Curve
+from embodied_active_learning.files import FileReader
+from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.session.atomic import write_text
+from embodied_active_learning.sweep.comparison import bootstrap_mean
+from embodied_active_learning.sweep.records import Record
+
+_READER = FileReader(CorruptFileError, "restore it")
+_LAST_STEPS = 50
+"""Steps that the ergodic measure at the end of a run is averaged over."""
+Rows = Sequence[Mapping[str, str]]
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> List[str]:
+    """Return the lines of a Markdown table; floats get three digits."""
+    lines = [f"| {' | '.join(header)} |", "|" + " --- |" * len(header)]
+    return [*lines, *(f"| {' | '.join(_text(value) for value in row)} |" for row in rows)]
+
+
+def run_table(records: Sequence[Record]) -> List[str]:
+    """Return a table with a line for each run."""
+    header = (
+        "variant", "world", "seed", "steps", "ergodic measure [nat]", "coverage", "active units",
+        "error own / shuffled / none", "distance [m]", "object clusters, error [cm]", "wall time [min]",
+    )  # fmt: skip
+    return markdown(header, [_run_row(record) for record in records])
+
+
+def group_table(groups: Mapping[str, Sequence[Record]], measures: Sequence[str]) -> List[str]:
+    """Return a table of means over runs, with 95 % intervals, of fields of the summary."""
+    rows = []
+    for name, records in groups.items():
+        cells: List[object] = [name, len(records)]
+        for measure in measures:
+            values = [getattr(record.summary, measure) for record in records]
+            cells.append(interval([float(value) for value in values if value is not None]))
+        rows.append(cells)
+    return markdown(("group", "runs", *measures), rows)
+
+
+def interval(values: Sequence[float]) -> str:
+    """Return "mean (low to high)" with a bootstrap interval; only the mean of one value, and a dash of none."""
+    if not values:
+        return "-"
+    mean = bootstrap_mean(np.array(values)[:, np.newaxis])
+    text = f"{mean.mean[0]:.3g}"
+    return text if len(values) == 1 else f"{text} ({mean.low[0]:.3g} to {mean.high[0]:.3g})"
+
+
+def mean_table(rows: Rows, group: str, column: str, value: str) -> List[str]:
+    """Return a table of mean values: a line for each group, a column for each value of another key."""
+    columns = list(dict.fromkeys(row[column] for row in rows))
+    lines = []
+    for name in dict.fromkeys(row[group] for row in rows):
+        cells = [[float(r[value]) for r in rows if (r[group], r[column]) == (name, at)] for at in columns]
+        lines.append([name, *(interval(found) for found in cells)])
+    return markdown((group, *(f"{column} {at}" for at in columns)), lines)
+
+
+def row_curves(rows: Rows, group: str, x: str, y: str) -> List[Curve]:
+    """Return a curve for each group: means with 95 % intervals over the rows with the same x."""
+    curves = []
+    for name in dict.fromkeys(row[group] for row in rows):
+        members = [row for row in rows if row[group] == name]
+        places = sorted({float(row[x]) for row in members})
+        means = [
+            bootstrap_mean(np.array([[float(row[y])] for row in members if float(row[x]) == place])) for place in places
+        ]
+        mean, low, high = (np.array([getattr(item, part)[0] for item in means]) for part in ("mean", "low", "high"))
+        curves.append(Curve(name, np.array(places), mean, low, high))
+    return curves
+
+
+def replace_block(path: Path, name: str, lines: Sequence[str]) -> None:
+    """Replace the lines between `<!-- name -->` and `<!-- end -->` in a file.
+
+    Raises:
+        CorruptFileError: The file has no such block.
+    """
+    text = _READER.read_text(path)
+    start, end = f"<!-- {name} -->\n", "<!-- end -->"
+    head, found, rest = text.partition(start)
+    _, closed, tail = rest.partition(end)
+    if not (found and closed):
+        raise _READER.refuse(path, f"has no block <!-- {name} --> ... <!-- end -->")
+    write_text(path, "".join([head, start, *(f"{line}\n" for line in lines), end, tail]))
+
+
+def _run_row(record: Record) -> List[object]:
+    """Return the cells of a run."""
+    summary, exploration = record.summary, record.config.exploration
+    measure = record.tables["exploration"]
+    late = measure["ergodic_measure"][measure["step"] > summary.steps - _LAST_STEPS]
+    errors = [summary.mse_own, summary.mse_shuffled, summary.mse_none]
+    return [
+        record.variant,
+        record.config.simulation.world,
+        exploration.seed,
+        summary.steps,
+        float(np.mean(late)) if len(late) else "-",
+        _number(summary.coverage),
+        "-" if summary.active_units is None else f"{summary.active_units:.0f}",
+        " / ".join(f"{value:.2g}" for value in errors if value is not None) or "-",
+        _number(summary.distance),
+        record.failure or _objects(record),
+        summary.wall_time / 60.0,
+    ]
+
+
+def _objects(record: Record) -> str:
+    """Describe the object clusters of a run by the nearest true object and the distance to it."""
+    found = [item for item in record.objects if item.kind != BLANK and item.distance is not None]
+    return ", ".join(f"{item.nearest} {100.0 * (item.distance or 0.0):.1f}" for item in found) or "none"
+
+
+def _number(value: Optional[float]) -> object:
+    return "-" if value is None else float(value)
+
+
+def _text(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

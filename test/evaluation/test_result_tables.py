@@ -1,0 +1,63 @@
+"""Tables and curves of results, and the blocks of the page they are written to."""
+
+import numpy as np
+import pytest
+
+from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.evaluation.result_tables import (
+    interval,
+    mean_table,
+    replace_block,
+    row_curves,
+    run_table,
+)
+from launching import ROOT
+from sample_records import make_record
+
+ROWS = [
+    {"method": "a", "steps": "10", "value": "1.0"},
+    {"method": "a", "steps": "10", "value": "3.0"},
+    {"method": "a", "steps": "20", "value": "4.0"},
+    {"method": "b", "steps": "10", "value": "5.0"},
+]
+
+
+def test_interval_of_values():
+    assert interval([]) == "-"
+    assert interval([0.12345]) == "0.123"
+    assert interval([1.0, 3.0]) == "2 (1 to 3)"
+
+
+def test_mean_table_has_a_line_for_each_group():
+    assert mean_table(ROWS, "method", "steps", "value") == [
+        "| method | steps 10 | steps 20 |",
+        "| --- | --- | --- |",
+        "| a | 2 (1 to 3) | 4 |",
+        "| b | 5 | - |",
+    ]
+
+
+def test_row_curves_average_rows_with_the_same_x():
+    first, second = row_curves(ROWS, "method", "steps", "value")
+    assert (first.label, list(first.x), list(first.mean)) == ("a", [10.0, 20.0], [2.0, 4.0])
+    assert second.label == "b"
+    assert np.isnan(second.low).all()
+
+
+def test_run_table_shows_the_end_of_a_run():
+    line = run_table([make_record("a", "ergodic", 1.0)])[-1]
+    assert line.startswith("| ergodic | diagonal | 0 | 100 | 0.755 |")
+
+
+def test_block_is_replaced(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- one -->\nold\n<!-- end -->\nafter\n", encoding="utf-8")
+    replace_block(page, "one", ["new", "lines"])
+    assert page.read_text(encoding="utf-8") == "before\n<!-- one -->\nnew\nlines\n<!-- end -->\nafter\n"
+    with pytest.raises(CorruptFileError, match="has no block <!-- two -->"):
+        replace_block(page, "two", [])
+
+
+def test_page_has_the_blocks_of_all_results(tmp_path):
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert [name for name in ("learning_metrics", "ablations", "coverage") if f"<!-- {name} -->" not in text] == []

@@ -1,0 +1,12 @@
+#!/bin/bash
+# Make all missing runs and measurements of docs/results.md, then its figures and tables.
+# SWEEPS is the folder of the sessions; arguments are passed to each sweep, such as --workers 2.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+set +u; source ./setup.bash; set -u
+sweeps="${SWEEPS:-$HOME/.ros/embodied_active_learning/sweeps}"
+python3 -m embodied_active_learning.sweep experiments/learning_metrics.yaml --root "$sweeps" "$@"
+python3 -m embodied_active_learning.sweep experiments/ablations.yaml --root "$sweeps" "$@"
+OPENBLAS_NUM_THREADS=1 python3 experiments/coverage_benchmark.py
+python3 experiments/ergodicity.py "$sweeps/learning_metrics/ergodic-diagonal-seed1"
+python3 experiments/figures.py
