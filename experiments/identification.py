@@ -13,9 +13,9 @@ from __future__ import annotations
 import argparse
 import csv
 import zlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Dict, Iterator, List, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
 import torch
@@ -102,24 +102,24 @@ class Evaluation:
         settings = IdentificationConfig(error_rate=error_rate)
         self._settings = settings
         self._sets = [load_fingerprints(path) for path in sessions]
-        self._config = self._sets[0].config
-        self._box = self._config.workspace.box()
+        self.config = self._sets[0].config
+        self._box = self.config.workspace.box()
         self._worlds = {item.session: load_world(item.config.simulation.world, self._box) for item in self._sets}
         pairs = {item.kind: item for world in self._worlds.values() for item in world.objects}
         self._learned = [pairs[kind] for kind in sorted(pairs)]
-        self._kinds = {key: kind for item in self._sets for key, kind in self._true_kinds(item)}
-        self._by_latents = Identification(self._sets, self._box, self._config.camera, settings)
+        self.kinds = {key: kind for item in self._sets for key, kind in self._true_kinds(item)}
+        self.search = Identification(self._sets, self._box, self.config.camera, settings)
         pixels = replace(settings, features="pixels")
-        self._by_pixels = Identification(self._sets, self._box, self._config.camera, pixels)
+        self._by_pixels = Identification(self._sets, self._box, self.config.camera, pixels)
 
     def run(self, condition: str, scene: int, count: int, reserved: bool) -> Iterator[Row]:
         """Search one scene and judge each rule."""
-        world = self._world(condition, scene, reserved)
-        states, images = photograph(world, self._config, count, scene)
-        views = SceneViews(states, images, self._config.camera)
+        world = self.world(condition, scene, reserved)
+        states, images = photograph(world, self.config, count, scene)
+        views = SceneViews(states, images, self.config.camera)
         mosaic = Mosaic(views, self._box, self._settings.margin)
         for name, decisions in self._decisions(states, images, views, mosaic, world):
-            for (session, fingerprint), kind in self._kinds.items():
+            for (session, fingerprint), kind in self.kinds.items():
                 about = decisions_about(decisions, session, fingerprint)
                 yield judge(about, world, kind, (condition, scene, name, session, fingerprint))
 
@@ -127,7 +127,7 @@ class Evaluation:
         self, states: np.ndarray, images: np.ndarray, views: SceneViews, mosaic: Mosaic, world: World
     ) -> Iterator[Tuple[str, List[Decision]]]:
         """The decisions of each rule."""
-        for features, search in (("latents", self._by_latents), ("pixels", self._by_pixels)):
+        for features, search in (("latents", self.search), ("pixels", self._by_pixels)):
             search.reset()
             search.observe(states, images)
             rules = {f"{name}, {features}": replace(self._settings, **changes) for name, changes in BASELINES.items()}
@@ -143,7 +143,7 @@ class Evaluation:
     def _counted(self, decisions: Sequence[Decision], world: World) -> List[Decision]:
         """As many of the highest peaks of each fingerprint as there are instances; one of a blank."""
         kept: List[Decision] = []
-        for (session, fingerprint), kind in self._kinds.items():
+        for (session, fingerprint), kind in self.kinds.items():
             about = sorted(decisions_about(decisions, session, fingerprint), key=lambda item: -item.belief_mean)
             count = 1 if kind == BLANK else sum(item.kind == kind for item in world.objects)
             kept += about[:count]
@@ -157,7 +157,7 @@ class Evaluation:
             at_object = distance <= SAME_PLACE
             yield (found.session, item.name), (BLANK if item.kind == BLANK else kind if at_object else "")
 
-    def _world(self, condition: str, scene: int, reserved: bool) -> World:
+    def world(self, condition: str, scene: int, reserved: bool) -> World:
         """Build a scene; all is drawn from its number and condition."""
         seed = zlib.crc32(f"{condition} {scene} {reserved}".encode())
         random = np.random.default_rng(seed)
@@ -186,7 +186,7 @@ class Evaluation:
         if condition not in ("other table", "all"):
             tables = [item.table for item in self._worlds.values()]
             changed = replace(changed, table=tables[int(random.integers(len(tables)))])
-        Scene(changed, self._config.camera).close()
+        Scene(changed, self.config.camera).close()
         return changed
 
     def _moved(self, index: int, place: PlacedObject) -> PlacedObject:
@@ -255,11 +255,11 @@ def judge(decisions: Sequence[Decision], world: World, kind: str, key: Tuple[str
     return Row(*key, kind or "?", int(present), int(hit), int(false), int(undecided), error, reason)
 
 
-def append(path: Path, rows: Sequence[Row]) -> None:
+def append(path: Path, rows: Sequence[Any]) -> None:
     """Append rows to a CSV file."""
     new = not path.exists()
     with path.open("a", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(Row.__dataclass_fields__))
+        writer = csv.DictWriter(stream, [field.name for field in fields(rows[0])])
         if new:
             writer.writeheader()
         writer.writerows(asdict(row) for row in rows)

@@ -236,6 +236,9 @@ class IdentificationConfig:
     view_distance: float = setting(0.045, "largest distance of a compared view from the candidate", "m", 0.005, 0.5)
     views: int = setting(5, "largest number of compared views of a candidate", "", 2, 1000)
     min_coverage: float = setting(0.95, "share of the workspace to be seen before an object is not here", "", 0.0, 1.0)
+    stop_when_decided: bool = setting(
+        True, "process no more images once every fingerprint is decided (decision verified only)"
+    )
 
 
 @dataclass(frozen=True)

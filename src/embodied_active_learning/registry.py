@@ -72,6 +72,7 @@ EXPLORERS = Registry(
         "random_walk": "embodied_active_learning.exploration.baselines:RandomWalkExplorer",
         "uniform": "embodied_active_learning.exploration.baselines:UniformExplorer",
         "uniform_ergodic": "embodied_active_learning.exploration.baselines:UniformErgodicExplorer",
+        "active": "embodied_active_learning.exploration.active:ActiveExplorer",
     },
 )
 """Values of exploration/explorer: callables (config: Config, seed: int) -> Explorer."""

@@ -52,7 +52,9 @@ def test_registered_explorer_is_configurable(name):
 
 
 def test_unknown_explorer_error_lists_names():
-    with pytest.raises(ConfigError, match="'levy_flight': known are ergodic, random_walk, uniform, uniform_ergodic"):
+    with pytest.raises(
+        ConfigError, match="'levy_flight': known are ergodic, random_walk, uniform, uniform_ergodic, active"
+    ):
         EXPLORERS["levy_flight"]
     with pytest.raises(ConfigError, match="random_walk"):
         Config.from_dict({"exploration": {"explorer": "levy_flight"}})
@@ -187,4 +189,4 @@ def test_planned_states_shape_before_and_after_command(name):
     explorer = EXPLORERS[name](SMALL, 0)
     assert explorer.planned_states.shape == (0, 3)
     explorer.next_command(FLAT, WorkspaceSamples(SMALL))
-    assert explorer.planned_states.shape == ((10, 3) if "ergodic" in name else (0, 3))
+    assert explorer.planned_states.shape == ((10, 3) if "ergodic" in name or name == "active" else (0, 3))

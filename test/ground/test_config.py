@@ -30,7 +30,7 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
         ({"exploration": {"steps": -1}}, "exploration/steps is -1: expected a whole number from 1 to 1e+06"),
         (
             {"exploration": {"explorer": "ergodyc"}},
-            "expected one of ergodic, random_walk, uniform, uniform_ergodic; did you mean ergodic?",
+            "expected one of ergodic, random_walk, uniform, uniform_ergodic, active; did you mean ergodic?",
         ),
         (
             {"workspace": {"x": [0.6, 0.3]}},

@@ -31,7 +31,7 @@ def drive(run, config, steps, log_std=None):
     return assessments
 
 
-@pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic"])
+@pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic", "active"])
 def test_explorers_increase_coverage(explorer):
     config = configured(explorer)
     assessments = drive(ExplorationRun(config), config, 60)
@@ -105,7 +105,7 @@ def test_run_resumed_from_trajectory_continues_metrics():
     assert again.ergodic_measure == pytest.approx(last.ergodic_measure, rel=0.2)
 
 
-@pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic"])
+@pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic", "active"])
 def test_run_with_loaded_state_is_bit_identical(explorer):
     config = configured(explorer)
     whole = ExplorationRun(config)

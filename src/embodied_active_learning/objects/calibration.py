@@ -1,21 +1,28 @@
 """Calibration of a fingerprint: the similarity is computed where the truth is known.
 
 Views held out from the comparison are simulated in other places (true), and look-alikes of the object (false); see
-limits for what follows from them.
+limits for what follows from them. A decision may be made after any of several evaluations of a place, between which
+views were added. A simulated place is therefore also evaluated repeatedly, each time with the least number of views, of
+which one is replaced, and the most unfavourable result counts: the smallest similarity of a true place, the largest of
+a look-alike. The limits then hold for all evaluations together, whenever the decision is made.
 """
 
 from __future__ import annotations
+
+from typing import List
 
 import numpy as np
 
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.limits import Calibration
-from embodied_active_learning.objects.pose_search import best_pose, climb
+from embodied_active_learning.objects.pose_search import LEAST_VIEWS, best_pose, climb
 from embodied_active_learning.objects.similarity import similarity, stored_views
 from embodied_active_learning.objects.simulated_views import LOOK_ALIKES, SimulatedViews, draw_views
 
-_TRUE_VIEWS = 3
-"""Views of a simulated place; in a scene there are up to identification/views."""
+_EVALUATIONS = 3
+"""Evaluations of a simulated place."""
+_VIEWS = LEAST_VIEWS + _EVALUATIONS - 1
+"""Views of a simulated place."""
 _SHIFT = (0.004, 0.004, 0.1)
 """Standard deviation of the pose from which the search of a true view starts [m, m, rad]."""
 _LOOK_ALIKE_YAWS = 12
@@ -27,27 +34,28 @@ def calibrate(appearance: Appearance, trials: int) -> Calibration:
     true = [_true_similarity(appearance, random) for _ in range(trials)]
     names = [LOOK_ALIKES[index % len(LOOK_ALIKES)] for index in range(trials)]
     false = [_look_alike_similarity(appearance, random, name) for name in names]
-    return Calibration(np.sort(np.float64(true)), np.sort(np.float64(false)))
+    return Calibration(np.sort(true), np.sort(false))
 
 
 def _true_similarity(appearance: Appearance, random: np.random.Generator) -> float:
-    """Similarity of held-out views in a simulated place, compared with the other views."""
-    chosen = draw_views(appearance, random, _TRUE_VIEWS)
+    """Smallest similarity of held-out views in a simulated place, compared with the other views."""
+    chosen = draw_views(appearance, random, _VIEWS)
     start = appearance.fingerprint.centre + random.normal(0.0, _SHIFT)
-    return _searched(appearance, SimulatedViews(appearance, random), chosen, start[None])
+    return min(_evaluated(appearance, SimulatedViews(appearance, random), chosen, start[None]))
 
 
 def _look_alike_similarity(appearance: Appearance, random: np.random.Generator, name: str) -> float:
-    """Similarity of a look-alike at its best yaw."""
-    chosen = draw_views(appearance, random, 1)
+    """Largest similarity of a look-alike at its best yaw."""
+    chosen = draw_views(appearance, random, _VIEWS)
     turns = np.arange(_LOOK_ALIKE_YAWS) * (2.0 * np.pi / _LOOK_ALIKE_YAWS)
     starts = appearance.fingerprint.centre + np.stack([0.0 * turns, 0.0 * turns, turns], axis=-1)
-    return _searched(appearance, SimulatedViews(appearance, random, name), chosen, starts)
+    return max(_evaluated(appearance, SimulatedViews(appearance, random, name), chosen, starts))
 
 
-def _searched(appearance: Appearance, views: SimulatedViews, chosen: list, starts: np.ndarray) -> float:
-    """Largest similarity near the starts (Y, 3)."""
+def _evaluated(appearance: Appearance, views: SimulatedViews, chosen: List[int], starts: np.ndarray) -> List[float]:
+    """Similarity in each evaluation, at the best pose near the starts (Y, 3)."""
     pose = best_pose(appearance, views, chosen[:1], starts, stride=8, excluded=chosen)
     pose = climb(appearance, views, chosen[:1], pose, excluded=chosen)
     stored = stored_views(appearance, views, chosen, pose, chosen)
-    return float(similarity(appearance, views, chosen, stored, pose[None])[0])
+    parts = [slice(begin, begin + LEAST_VIEWS) for begin in range(max(len(chosen) - LEAST_VIEWS + 1, 1))]
+    return [float(similarity(appearance, views, chosen[part], stored[part], pose[None])[0]) for part in parts]

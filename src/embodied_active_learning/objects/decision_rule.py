@@ -18,7 +18,7 @@ from embodied_active_learning.objects.beliefs import Peak
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.pose_search import Candidate, propose, refine
+from embodied_active_learning.objects.pose_search import LEAST_VIEWS, Candidate, propose, refine
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 
@@ -45,23 +45,44 @@ class DecisionRule:
             views: The images observed so far.
             mosaic: The same images as one.
         """
-        groups = [self._candidates(target, views, mosaic) for target in targets]
-        winners = self._winners([candidate for group in groups for candidate in group])
-        decisions: List[Decision] = []
-        for group in groups:
-            decisions += _numbered([_resolved(candidate, winners) for candidate in group])
-        return decisions
+        groups = self.resolve([self.candidates(target, views, mosaic) for target in targets])
+        return [decision for group in groups for decision in best_decisions(group)]
 
-    def _candidates(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
+    def resolve(self, groups: Sequence[Sequence[Decision]]) -> List[List[Decision]]:
+        """Reject candidates of each target of a model at whose place another target of the model is more similar."""
+        winners = self._winners([candidate for group in groups for candidate in group])
+        return [[_resolved(candidate, winners) for candidate in group] for group in groups]
+
+    def is_open(self, target: SearchTarget, group: Sequence[Decision], mosaic: Mosaic) -> bool:
+        """Return whether more images may change what is decided about a target, given its resolved candidates."""
+        if self._settings.decision == "belief":
+            return True  # a belief states no error rate at which it could stop
+        if any(candidate.found for candidate in group) or target.problem:
+            return False
+        return mosaic.coverage < self._settings.min_coverage or bool(self.open_places(target, group))
+
+    def open_places(self, target: SearchTarget, group: Sequence[Decision]) -> List[np.ndarray]:
+        """Return the places (2,) [m] of a target's candidates about which more views may decide."""
+        if target.fingerprint.kind == BLANK or target.problem:
+            return []
+        miss = target.calibration.limits(self._settings.error_rate).miss
+        return [
+            item.pose[:2]
+            for item in group
+            if item.outcome == UNDECIDED
+            and (item.views < LEAST_VIEWS or (item.views < self._settings.views and 1.0 - item.residual >= miss))
+        ]
+
+    def candidates(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
         """Decide for each candidate place of a target, without regard to other targets."""
         if self._settings.decision == "belief":
             peaks = target.grid.peaks(self._settings.separation, self._settings.candidates)
             return [self._by_belief(target, peak) for peak in peaks]
         if target.fingerprint.kind == BLANK:
             return [self._blank(target, mosaic)]
-        if target.appearance.problem:
+        if target.problem:
             pose = target.grid.peaks(self._settings.separation, 1)[0].pose
-            return [self._decision(target, pose, UNDECIDED, target.appearance.problem)]
+            return [self._decision(target, pose, UNDECIDED, target.problem)]
         return self._by_views(target, views, mosaic)
 
     def _by_views(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
@@ -71,7 +92,7 @@ class DecisionRule:
         if settings.candidates_from == "belief":
             peaks = target.grid.peaks(settings.separation, settings.candidates)
             places = [_starts(target, peak) for peak in peaks]
-        found = [refine(target.appearance, views, starts, settings) for starts in places]
+        found = [refine(target.appearance, views, starts, settings, mosaic.above(starts[0, :2])) for starts in places]
         doubt = self._doubt(mosaic, table_match)
         decisions: List[Decision] = []
         for candidate in sorted(found, key=lambda item: -item.similarity):
@@ -91,7 +112,9 @@ class DecisionRule:
     def _judge(self, target: SearchTarget, candidate: Candidate, doubt: str) -> Decision:
         """Decide at a candidate pose."""
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
-        if value >= limits.found:
+        if len(candidate.views) < LEAST_VIEWS:
+            outcome, reason = UNDECIDED, doubt or "a place where it may be has too few views: take more images"
+        elif value >= limits.found:
             outcome = FOUND
             reason = f"similarity {value:.2f}, limit {limits.found:.2f}"
         elif value >= limits.miss:
@@ -108,7 +131,7 @@ class DecisionRule:
         return replace(
             self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
             confidence=target.calibration.confidence(value),
-            residual=1.0 - value if len(candidate.views) else np.inf,
+            residual=1.0 - value if len(candidate.views) >= LEAST_VIEWS else np.inf,
             views=len(candidate.views),
         )
 
@@ -202,8 +225,8 @@ def _refined(peak: np.ndarray, trace: Matches) -> np.ndarray:
     return np.array([x, y, np.arctan2(weights @ np.sin(yaw), weights @ np.cos(yaw))])
 
 
-def _numbered(candidates: Sequence[Decision]) -> List[Decision]:
-    """Number the found candidates, or return the best other one, an undecided one first. One blank is enough."""
+def best_decisions(candidates: Sequence[Decision]) -> List[Decision]:
+    """Return the found candidates, numbered, or the best other one, an undecided one first. One blank is enough."""
     found = [candidate for candidate in candidates if candidate.found]
     if not found:
         order = sorted(candidates, key=lambda item: (item.outcome != UNDECIDED, item.residual, -item.belief_mean))

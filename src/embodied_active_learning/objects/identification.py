@@ -6,7 +6,7 @@ Paper, Sec. "Object Identification" and appendix.
 from __future__ import annotations
 
 import logging
-from typing import List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
 from embodied_active_learning.objects.decision import Decision
-from embodied_active_learning.objects.decision_rule import DecisionRule
+from embodied_active_learning.objects.decision_rule import DecisionRule, best_decisions
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.matching import Matcher
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
@@ -54,9 +54,8 @@ class Identification:
         """
         self._workspace, self._camera, self._settings = workspace, camera, settings
         self._rule = DecisionRule(settings)
-        self._weights = EvidenceWeights(settings)
         self._groups: List[Tuple[Matcher, List[SearchTarget]]] = []
-        self.images = 0
+        self._start()
         for item in sets:
             _check_camera(item, camera)
             if item.fingerprints:
@@ -81,10 +80,19 @@ class Identification:
 
     def reset(self) -> None:
         """Forget the stream, to search another scene. What was learned about the fingerprints is kept."""
-        self._weights = EvidenceWeights(self._settings)
-        self.images = 0
+        self._start()
         for target in self.targets:
             target.reset(BeliefGrid(self._workspace, self._settings))
+
+    def _start(self) -> None:
+        """Start a stream."""
+        self._weights = EvidenceWeights(self._settings)
+        self.images = 0
+        self.decided = False
+        """Whether no more images are needed, as of the last call of `decide`."""
+        self.open_places: np.ndarray = np.empty((0, 2))
+        """(P, 2) places [m] that need more views, as of the last call of `decide`."""
+        self._closed: Dict[str, List[Decision]] = {}
 
     def observe(self, states: np.ndarray, images: np.ndarray) -> None:
         """Process the next images of the stream.
@@ -102,10 +110,29 @@ class Identification:
             self.images += len(states[part])
 
     def decide(self, states: np.ndarray, images: np.ndarray) -> List[Decision]:
-        """Decide for every fingerprint, given the states (N, 3) [m, m, rad] and images of the stream so far."""
+        """Decide for every fingerprint, given the states (N, 3) [m, m, rad] and images of the stream so far.
+
+        May be called after any number of images: what was decided in an earlier call without being open is kept.
+        """
         views = SceneViews(states, images, self._camera)
         mosaic = Mosaic(views, self._workspace, self._settings.margin)
-        return [decision for _, targets in self._groups for decision in self._rule.decide(targets, views, mosaic)]
+        decisions: List[Decision] = []
+        places: List[np.ndarray] = []
+        self.decided = True
+        for _, targets in self._groups:
+            groups = [
+                self._closed.get(target.label) or self._rule.candidates(target, views, mosaic) for target in targets
+            ]
+            for target, group, resolved in zip(targets, groups, self._rule.resolve(groups)):
+                if self._rule.is_open(target, resolved, mosaic):
+                    self.decided = False
+                    self._closed.pop(target.label, None)
+                    places += self._rule.open_places(target, resolved)
+                else:
+                    self._closed[target.label] = group
+                decisions += best_decisions(resolved)
+        self.open_places = np.array(places).reshape(-1, 2)
+        return decisions
 
 
 def _make_group(

@@ -36,7 +36,10 @@ _PEAK_SIZE = 9
 """Side of the window in which a candidate place is the best one, in pixels of the mosaic."""
 _STARTS = 3
 """Yaws from which the pose is searched at a place."""
-_LEAST_VIEWS = 2
+LEAST_VIEWS = 3
+"""Views without which nothing is decided about a place."""
+_SEARCH_VIEWS = 2
+"""Views in which the pose is searched before it is refined in all of them."""
 _STEPS = ((0.004, 0.09), (0.003, 0.06), (0.0015, 0.03))
 """Steps [m, rad] of the searches around a start, around the best result, and around the best result again."""
 
@@ -92,12 +95,22 @@ def propose(mosaic: Mosaic, appearance: Appearance, count: int) -> Proposals:
     return Proposals(places, table_match)
 
 
-def refine(appearance: Appearance, views: SceneViews, starts: np.ndarray, settings: IdentificationConfig) -> Candidate:
-    """Return the most similar pose near the starts (Y, 3) at one place; without views its similarity is -1."""
-    chosen = views.nearest(starts[0, :2], settings.views, settings.view_distance)
-    if len(chosen) < _LEAST_VIEWS:
+def refine(
+    appearance: Appearance, views: SceneViews, starts: np.ndarray, settings: IdentificationConfig, above: np.ndarray
+) -> Candidate:
+    """Return the most similar pose near the starts (Y, 3) at one place; with too few views its similarity is -1.
+
+    Args:
+        appearance: The object.
+        views: The images.
+        starts: Poses to start from.
+        settings: How many views are compared, and from how far.
+        above: (2,) camera position nearest to the place; views are taken from there.
+    """
+    chosen = views.nearest(above, settings.views, settings.view_distance)
+    if len(chosen) < LEAST_VIEWS:
         return Candidate(starts[0], -1.0, chosen)
-    pose = best_pose(appearance, views, chosen[:_LEAST_VIEWS], starts, stride=3)
+    pose = best_pose(appearance, views, chosen[:_SEARCH_VIEWS], starts, stride=3)
     pose = climb(appearance, views, chosen, pose)
     value = similarity(appearance, views, chosen, stored_views(appearance, views, chosen, pose), pose[None])
     return Candidate(pose, float(value[0]), chosen)

@@ -77,12 +77,17 @@ class Mosaic:
             for view in np.unique(source):
                 pixels = order[ends[view] : ends[view + 1]]
                 colours[pixels], seen[pixels] = views.colours(int(view), points[pixels])
+        self._lower, self._upper = lower, upper
         self.colours, self.seen = colours.reshape(size, size, 3), seen.reshape(size, size)
         self.features = colour_features(self.colours)
         self.inside, self.in_workspace = (
             ((points >= lower - border) & (points <= upper + border)).all(axis=1).reshape(size, size)
             for border in (margin, 0.0)
         )
+
+    def above(self, place: np.ndarray) -> np.ndarray:
+        """Return the camera position (2,) of the workspace that is nearest to a place (2,) [m]."""
+        return np.clip(place, self._lower, self._upper)
 
     @property
     def coverage(self) -> float:

@@ -51,6 +51,11 @@ class SearchTarget:
         return Appearance(self.fingerprint, self._set.fingerprints, self._set.config.camera)
 
     @property
+    def problem(self) -> str:
+        """Why an object cannot be recognised, and the remedy; empty if it can, and of a blank."""
+        return self.appearance.problem if self.fingerprint.kind == OBJECT else ""
+
+    @property
     def needs_calibration(self) -> bool:
         """Whether an object has no stored calibration: it cannot be recognised, or its file is older."""
         return self.fingerprint.kind == OBJECT and self.fingerprint.calibration is None

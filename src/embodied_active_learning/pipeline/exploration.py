@@ -152,6 +152,10 @@ class ExplorationRun:
             self._effort = float("nan")
         return command
 
+    def seek(self, places: np.ndarray) -> None:
+        """Report the places (P, 2) [m] about which an identification needs more views."""
+        self._explorer.seek(places)
+
     def interrupt(self) -> None:
         """Discard plan and velocity after the arm was stopped from outside."""
         self._explorer.reset()

@@ -27,6 +27,9 @@ MOST_SESSIONS = 64
 
 _CHUNK = 64
 """Largest number of images processed by one call of `advance`."""
+FIRST_LOOK, _LOOK_GROWTH = 20, 1.2
+"""Images before the first look at the decisions, and factor from one look to the next. A look takes about 0.1 s for
+each open fingerprint; there are 25 of them in 2000 images."""
 
 
 def read_sets(root: Path, sessions: Sequence[str]) -> List[FingerprintSet]:
@@ -48,6 +51,11 @@ def check_results(session_path: Path, name: str, overwrite: bool) -> None:
     if is_identified(session_path, name) and not overwrite:
         folder = identification_folder(session_path, name)
         raise SessionError(f"results exist in {folder}: choose another name, or set overwrite")
+
+
+def next_look(images: int) -> int:
+    """Return the number of images after which decisions are evaluated again, after an evaluation."""
+    return max(images + 1, int(_LOOK_GROWTH * images))
 
 
 class IdentificationRun:
@@ -72,7 +80,7 @@ class IdentificationRun:
             session_path: Folder of the session with the images.
             sets: The fingerprints to search for.
             name: Name of the results.
-            images: Number of images to process; 0 for all that are stored.
+            images: Largest number of images to process; 0 for all that are stored.
             settings: How to search and decide.
             overwrite: Whether results of the same name may be replaced.
             must_be_stored: Whether all images must be stored already, because the session is not running.
@@ -90,6 +98,8 @@ class IdentificationRun:
         self._session = Session.open_read_only(self._path)
         config = self._session.config
         self.identification = Identification(self.sets, config.workspace.box(), config.camera, settings)
+        self._sequential = settings.stop_when_decided and self.identification.by_views
+        self._next_look = FIRST_LOOK
         self._store: ObservationStore = self._session.open_observations()
         self.images = images or len(self._store)
         if self.images < 1:
@@ -121,8 +131,8 @@ class IdentificationRun:
 
     @property
     def complete(self) -> bool:
-        """Whether all images are processed."""
-        return self.processed >= self.images
+        """Whether everything is decided, or all images are processed."""
+        return self.identification.decided or self.processed >= self.images
 
     @property
     def states(self) -> np.ndarray:
@@ -135,16 +145,24 @@ class IdentificationRun:
         return self._store.images[: self.processed]
 
     def advance(self) -> int:
-        """Process the next stored images. Return their number; 0 if there are no new ones.
+        """Process the next stored images, and look at the decisions when it is time. Return the number of images.
+
+        It is 0 if there are no new ones.
 
         Raises:
             CorruptFileError: If the store is damaged.
         """
         if len(self._store) == self.processed:
             self._store.refresh()
-        part = slice(self.processed, min(self.processed + _CHUNK, self.images, len(self._store)))
+        limits = [self.processed + _CHUNK, self.images, len(self._store)]
+        if self._sequential:
+            limits.append(self._next_look)
+        part = slice(self.processed, min(limits))
         states, images = self._store.raw_states[part], self._store.images[part]
         self.identification.observe(states, images)
+        if self._sequential and len(states) and self.processed >= self._next_look:
+            self._next_look = next_look(self.processed)
+            self.identification.decide(self.states, self.pictures)
         return len(states)
 
     def decide(self) -> List[Decision]:

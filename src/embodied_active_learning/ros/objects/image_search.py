@@ -12,6 +12,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.pipeline.identification import IdentificationRun, read_sets
+from embodied_active_learning.ros.planner.open_places import OpenPlacesPublisher
 from embodied_active_learning.ros.runtime.diagnostics import Rate
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 from embodied_active_learning.ros.runtime.task_server import Progress
@@ -34,6 +35,7 @@ class ImageSearch:
         self._config = config
         self._root = session_root(config)
         self._outputs = RvizBeliefs()
+        self._open_places = OpenPlacesPublisher()
         self.images = Rate()
 
     def open_run(
@@ -55,10 +57,10 @@ class ImageSearch:
         )
 
     def search(self, run: IdentificationRun, progress: Progress) -> List[Decision]:
-        """Process all images, decide, store the results, and publish them."""
+        """Process images until everything is decided or all are processed; store and publish the decisions."""
         self._process_images(run, progress)
         progress.report("deciding")
-        rospy.loginfo("all %d images processed; deciding", run.images)
+        rospy.loginfo("%d of at most %d images processed; deciding", run.processed, run.images)
         decisions = run.decide()
         progress.check()
         run.save(decisions)
@@ -89,6 +91,7 @@ class ImageSearch:
             count = run.advance()
             if count:
                 self.images.tick(count)
+                self._open_places.publish(run.identification.open_places)
             wall_sleep(0.0 if count else _POLL_PERIOD)
             progress.report("searching", run.processed, run.images)
             if time.monotonic() >= log_at:

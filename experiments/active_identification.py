@@ -1,0 +1,155 @@
+#!/usr/bin/env python3
+"""Count the images until everything is decided, with active identification and with even coverage.
+
+    source setup.bash && python3 experiments/active_identification.py SESSION_FOLDER ... --output FOLDER [--scenes 4]
+
+The simulated arm moves over the scenes of experiments/identification.py, in the same worlds and with the same seeds for
+each explorer. Rows are appended to results.csv, so that an interrupted call continues.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Dict, List, Sequence, Tuple
+
+import numpy as np
+import torch
+from identification import CONDITIONS, Evaluation, append, judge, read
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.exploration.commands import VelocityCommand
+from embodied_active_learning.objects.decision import Decision, decisions_about
+from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.pipeline.exploration import ExplorationRun
+from embodied_active_learning.pipeline.identification import FIRST_LOOK, next_look
+from embodied_active_learning.simulation.simulation import Simulation
+from embodied_active_learning.simulation.world import World
+
+EXPLORERS = ("active", "uniform_ergodic")
+
+
+@dataclass(frozen=True)
+class Row:
+    """How one search ended."""
+
+    condition: str
+    scene: int
+    explorer: str
+    images: int
+    decided: int
+    present: int  # fingerprints of objects that are there
+    hits: int
+    undecided_present: int
+    absent: int
+    false_claims: int
+    undecided_absent: int
+
+
+COUNTS = ("decided", "present", "hits", "undecided_present", "absent", "false_claims", "undecided_absent")
+
+
+def main() -> None:
+    """Search all scenes and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sessions", nargs="+", type=Path)
+    parser.add_argument("--output", required=True, type=Path)
+    parser.add_argument("--conditions", nargs="*", default=["learned table", "other table", "all"], choices=CONDITIONS)
+    parser.add_argument("--scenes", type=int, default=4, help="scenes of each condition")
+    parser.add_argument("--images", type=int, default=1000, help="largest number of images")
+    parser.add_argument("--error-rate", type=float, default=0.05)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    options.output.mkdir(parents=True, exist_ok=True)
+    path = options.output / "results.csv"
+    done = {(row["condition"], int(row["scene"]), row["explorer"]) for row in read(path)}
+    evaluation = Evaluation(options.sessions, options.error_rate)
+    for condition in options.conditions:
+        for scene in range(options.scenes):
+            for explorer in EXPLORERS:
+                if (condition, scene, explorer) not in done:
+                    row = run(evaluation, condition, scene, explorer, options.images)
+                    append(path, [row])
+                    print(row, flush=True)
+    report(read(path))
+
+
+def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, most: int) -> Row:
+    """Search one scene with one explorer."""
+    world = evaluation.world(condition, scene, reserved=False)
+    search = evaluation.search
+    search.reset()
+    decisions = explore(world, evaluation.config, search, explorer, scene, most)
+    judged = [
+        judge(decisions_about(decisions, *key), world, kind, (condition, scene, explorer, *key))
+        for key, kind in evaluation.kinds.items()
+        if kind != BLANK
+    ]
+    there, absent = ([row for row in judged if row.present == value] for value in (1, 0))
+    return Row(
+        condition,
+        scene,
+        explorer,
+        search.images,
+        int(search.decided),
+        len(there),
+        sum(row.hit for row in there),
+        sum(row.undecided for row in there),
+        len(absent),
+        sum(row.false_claim for row in absent),
+        sum(row.undecided for row in absent),
+    )
+
+
+def explore(
+    world: World, config: Config, search: Identification, explorer: str, seed: int, most: int
+) -> List[Decision]:
+    """Move the simulated arm until everything is decided, as planner and identifier do together."""
+    config = replace(config, exploration=replace(config.exploration, explorer=explorer, seed=seed))
+    states: List[np.ndarray] = []
+    images: List[np.ndarray] = []
+    decisions: List[Decision] = []
+    due = FIRST_LOOK
+    with Simulation(world, config) as simulation:
+        motion = ExplorationRun(config)
+        while not search.decided and len(states) < most:
+            states.append(simulation.pose)
+            images.append(simulation.image())
+            motion.observe(simulation.pose, simulation.velocity)
+            motion.assess(None)
+            search.observe(states[-1][None], images[-1][None])
+            if len(states) >= min(due, most):
+                decisions = search.decide(np.stack(states), np.stack(images))
+                due = next_look(len(states))
+                motion.seek(search.open_places)
+            command = motion.next_command()
+            if isinstance(command, VelocityCommand):
+                simulation.move(command.velocity.tolist(), command.duration)
+            else:
+                simulation.go_to(command.state.tolist())
+    return decisions
+
+
+def report(rows: Sequence[Dict[str, str]]) -> None:
+    """Print images and outcomes of each condition and explorer."""
+    print("\n| condition | explorer | images: median (range) | decided | hits | false claims | undecided |")
+    print("| --- " * 7 + "|")
+    groups: Dict[Tuple[str, str], List[Dict[str, str]]] = {}
+    for row in rows:
+        for condition in (row["condition"], "all rows above"):
+            groups.setdefault((condition, row["explorer"]), []).append(row)
+    for (condition, explorer), group in sorted(groups.items(), key=lambda item: item[0][0] == "all rows above"):
+        count = {name: sum(int(row[name]) for row in group) for name in COUNTS}
+        images = [int(row["images"]) for row in group]
+        undecided = count["undecided_present"] + count["undecided_absent"]
+        print(
+            f"| {condition} | `{explorer}` | {np.median(images):.0f} ({min(images)}-{max(images)}) "
+            f"| {count['decided']} / {len(group)} | {count['hits']} / {count['present']} "
+            f"| {count['false_claims']} / {count['absent']} | {undecided} / {count['present'] + count['absent']} |"
+        )
+
+
+if __name__ == "__main__":
+    main()
