@@ -51,15 +51,13 @@ class Measurement:
         with session.open_observations() as store:
             stored = store.snapshot()
         chosen = np.random.default_rng(REFERENCE_SEED).choice(len(stored.stamps), LATENTS, replace=False)
-        self.log_std = fixed_log_std(model, self.model.encode(stored.raw_states[chosen], stored.images[chosen])[0])
+        latents, _ = self.model.encode(stored.raw_states[chosen], stored.images[chosen])
+        self.log_std = fixed_log_std(self.model, latents)
         scene = Scene(self.world, self.config.camera)
-        targets = {"h": self.log_std, "uniform": lambda states: np.zeros(len(states))}
-        self.references = {
-            name: view_features(
-                self.model, draw_independent(self.config, scene, target, REFERENCE_VIEWS, REFERENCE_SEED)
-            )
-            for name, target in targets.items()
-        }
+        self.references = {}
+        for name, target in (("h", self.log_std), ("uniform", lambda states: np.zeros(len(states)))):
+            views = draw_independent(self.config, scene, target, REFERENCE_VIEWS, REFERENCE_SEED)
+            self.references[name] = view_features(self.model, views)
         scene.close()
 
     def rows(self, explorer: str, seed: int, steps: int) -> Iterator[Dict[str, object]]:
