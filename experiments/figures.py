@@ -14,11 +14,13 @@ from typing import List
 from embodied_active_learning.evaluation.result_tables import (
     Rows,
     group_table,
+    markdown,
     mean_table,
     replace_block,
     row_curves,
     run_table,
 )
+from embodied_active_learning.evaluation.table1 import RULES, table_lines
 from embodied_active_learning.figures.curves import draw_curves
 from embodied_active_learning.sweep.comparison import compare_columns, group_records
 from embodied_active_learning.sweep.csv_files import read_rows
@@ -34,7 +36,7 @@ MEASURES = ("ergodic_measure", "coverage", "active_units", "mse_own", "mse_shuff
 
 def main() -> None:
     """Draw everything of which there are results."""
-    for draw, name in ((coverage, "coverage"), (ergodicity, "ergodicity")):
+    for draw, name in ((coverage, "coverage"), (ergodicity, "ergodicity"), (table1, "table1")):
         if (RESULTS / name).is_dir():
             draw()
     for draw_runs, sweep in ((learning_metrics, "learning_metrics"), (ablations, "ablations")):
@@ -68,7 +70,7 @@ def coverage() -> None:
     for density in dict.fromkeys(row["density"] for row in rows):
         chosen = [row for row in rows if row["density"] == density]
         for name, column in (("spectral metric", "spectral"), ("KL measure [nat]", "kl")):
-            panels[f"{name}, {density}"] = row_curves(chosen, "method", "steps", column)
+            panels[f"{name},\n{density}"] = row_curves(chosen, "method", "steps", column)
             lines += [f"{density}, {name}:", "", *mean_table(chosen, "method", "steps", column), ""]
     draw_curves(IMAGES / "coverage.png", panels, dict.fromkeys(panels, "steps"))
     lines += ["Processor time per step [ms]:", "", *mean_table(rows, "method", "steps", "ms_per_step")]
@@ -82,11 +84,24 @@ def ergodicity() -> None:
     for reference in ("h", "uniform"):
         chosen: Rows = [row for row in rows if row["reference"] == reference]
         for name, column in (("error of averages [std]", "error"), ("p-value of MMD", "p_value")):
-            panels[f"{name}, {reference}"] = row_curves(chosen, "explorer", "steps", column)
+            panels[f"{name},\nagainst {reference}"] = row_curves(chosen, "explorer", "steps", column)
         lines += [f"Error of averages against {reference}:", "", *mean_table(chosen, "explorer", "steps", "error"), ""]
         lines += [f"p-value against {reference}:", "", *mean_table(chosen, "explorer", "steps", "p_value"), ""]
     draw_curves(IMAGES / "ergodicity.png", panels, dict.fromkeys(panels, "steps"))
     replace_block(PAGE, "ergodicity", lines[:-1])
+
+
+def table1() -> None:
+    """List the successes of each rule and way of collecting images."""
+    rows = read_rows(RESULTS / "table1" / "table1.csv")
+    lines: List[str] = []
+    for variant in dict.fromkeys(row["images"].split("-")[0] for row in rows):
+        for rule in RULES:
+            chosen = [row for row in rows if row["rule"] == rule and row["images"].startswith(f"{variant}-")]
+            header, *cells = table_lines(chosen)
+            models = len({row["model"] for row in chosen})
+            lines += [f"Images: {variant}; rule: {rule}; models: {models} of 20.", "", *markdown(header, cells), ""]
+    replace_block(PAGE, "table1", lines[:-1])
 
 
 def records_of(sweep: str) -> List[Record]:

@@ -1,0 +1,78 @@
+"""Successes as in the paper's Table 1."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.evaluation import table1
+from embodied_active_learning.evaluation.table1 import keep_counted, successes, table_lines
+from embodied_active_learning.objects.decision import Decision
+
+KINDS = {"object-1": "duck", "blank-1": "blank"}
+OBJECTS = [("duck", 0.4, 0.0), ("duck", 0.6, 0.1), ("star", 0.5, -0.1)]
+
+
+def decision(name, x, y, belief, found=True):
+    outcome, kind = ("found" if found else "not here"), name.split("-")[0]
+    return Decision("a", name, kind, outcome, int(found), np.array([x, y, 0.0]), 1.0, 0.05, 0.0, 5, belief, 0.1, "")
+
+
+def test_each_object_of_a_kind_is_a_test():
+    decisions = [decision("object-1", 0.41, 0.0, 0.9), decision("object-1", 0.5, -0.1, 0.8)]
+    assert successes(decisions, "a", KINDS, "duck", OBJECTS) == (1, 2)
+    assert successes([], "a", KINDS, "duck", OBJECTS) == (0, 2)
+
+
+def test_blank_must_not_lie_on_an_object():
+    assert successes([decision("blank-1", 0.45, 0.1, 0.9)], "a", KINDS, "blank", OBJECTS) == (1, 1)
+    assert successes([decision("blank-1", 0.5, -0.1, 0.9)], "a", KINDS, "blank", OBJECTS) == (0, 1)
+
+
+def test_ranked_rule_keeps_as_many_beliefs_as_objects():
+    decisions = [decision("object-1", 0.1 * index, 0.0, belief) for index, belief in enumerate((0.2, 0.9, 0.5))]
+    assert [item.belief_mean for item in keep_counted(decisions, "a", KINDS, OBJECTS)] == [0.9, 0.5]
+
+
+def test_table_has_totals_beside_those_of_the_paper():
+    rows = [
+        {"environment": "stars_ducks", "kind": "duck", "hits": "3", "tests": "4"},
+        {"environment": "stars_ducks", "kind": "star", "hits": "1", "tests": "1"},
+        {"environment": "bottom", "kind": "duck", "hits": "1", "tests": "1"},
+    ]
+    assert table_lines(rows) == [
+        ["environment", "duck", "star", "total", "paper"],
+        ["stars_ducks", "3/4", "1/1", "4/5 (80 %)", "55/70 (79 %)"],
+        ["bottom", "1/1", "0/0", "1/1 (100 %)", "-"],
+        ["total", "4/5", "1/1", "5/6 (83 %)", "-"],
+    ]
+
+
+def test_model_is_measured_by_both_rules(monkeypatch):
+    """In its own environment, both rules find the duck; only the ranked rule claims a second place."""
+    duck, plant = table1.true_objects(config_of("diagonal"))
+    kinds = [Fake("object-1", duck), Fake("blank-1", ("blank", 0.5, 0.0))]
+    monkeypatch.setattr(table1, "ensure_fingerprints", lambda session: SimpleNamespace(fingerprints=kinds))
+
+    def identify(model, images_of, images, name, overwrite, **settings):
+        right, wrong = decision("object-1", duck[1], duck[2], 0.9), decision("object-1", plant[1], plant[2], 0.8)
+        return [wrong, right] if settings == {"decision": "belief", "min_belief": 0.0} else [right]
+
+    monkeypatch.setattr(table1, "identify", identify)
+    session = SimpleNamespace(name="a", config=config_of("diagonal"))
+    rows = [tuple(row.values()) for row in table1.measure(session, session, 10)]
+    assert rows == [
+        (rule, kind, hits, 1) for rule in ("ranked", "decided") for kind, hits in (("blank", 0), ("duck", 1))
+    ]
+
+
+class Fake:
+    """A fingerprint at the place of an object."""
+
+    def __init__(self, name, place):
+        self.name, self.kind = name, name.split("-")[0]
+        self.centre = np.array([place[1], place[2], 0.0])
+
+
+def config_of(world):
+    return Config.from_dict({"simulation": {"world": world}})
