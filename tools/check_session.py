@@ -3,9 +3,13 @@
 import argparse
 import sys
 from pathlib import Path
+from typing import Sequence
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
-from embodied_active_learning.objects.report import score
+from embodied_active_learning.geometry import Location
+from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.objects.report import SAME_PLACE, Truth, nearest, score
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import Session
@@ -54,18 +58,39 @@ def fingerprinted(path: Path) -> str:
 
 
 def identified(path: Path, name: str) -> str:
-    """Check for stored decisions; return their score. The identifier has logged the decisions."""
+    """Check for stored decisions; return what was found where, compared with the true objects."""
     result = load_identification(path, name)
     sessions = dict.fromkeys(decision.session for decision in result.decisions)
     sets = [load_fingerprints(path.parent / session) for session in sessions]
-    truth = true_scene(Session.open_read_only(path).config, sets)
+    config = Session.open_read_only(path).config
+    truth = true_scene(config, sets)
     scored = score(result.decisions, truth)
-    return (
-        f"{scored.hits} of {scored.instances} objects found, {scored.false_claims} false claims, "
-        f"{result.images} images\n"
-        f"  beliefs  {path / 'figures' / 'beliefs.png'}\n"
-        f"  results  {identification_folder(path, name)}"
-    )
+    lines = [f"searched {result.images} images of {Path(config.simulation.world).stem}:"]
+    lines += [f"  {describe_object(item, result.decisions, truth)}" for item in truth.objects]
+    lines += [
+        f"found: {scored.hits} of {scored.instances} objects that were learned; false alarms: {scored.false_claims}",
+        f"open     {path / 'figures' / 'beliefs.png'}",
+        f"results  {identification_folder(path, name)}",
+    ]
+    return "\n".join(lines)
+
+
+def describe_object(true_object: Location, decisions: Sequence[Decision], truth: Truth) -> str:
+    """Return what was decided about a true object."""
+    kind, x, y = true_object
+    place = f"{kind:6} at x {x:.3f} m, y {y:.3f} m"
+    about_objects = [item for item in decisions if item.kind != BLANK]
+    of_kind = [item for item in about_objects if truth.kinds[item.session, item.fingerprint] == kind]
+    claims = [item for item in about_objects if item.found and nearest(item.pose, [true_object])[1] <= SAME_PLACE]
+    hits = [item for item in claims if item in of_kind]
+    if hits:
+        error = 100.0 * nearest(hits[0].pose, [true_object])[1]
+        return f"{place}: found as {hits[0].fingerprint}, {error:.1f} cm off, confidence {hits[0].confidence:.2f}"
+    if claims:
+        return f"{place}: FALSE ALARM, taken for {claims[0].fingerprint} (confidence {claims[0].confidence:.2f})"
+    if not of_kind:
+        return f"{place}: never learned, and rightly not claimed"
+    return f"{place}: missed ({of_kind[0].outcome}: {of_kind[0].reason})"
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ cd "$(dirname "$0")/.."
 root="${HOME}/.ros/embodied_active_learning"
 session="demo-$(date +%Y%m%d-%H%M%S)-$$"
 profile=demo
-identify_world=star_plant_duck
+identify_world=other_table
 images=1000
 learn=()
 for argument in "$@"; do
@@ -36,4 +36,16 @@ python3 tools/check_session.py fingerprinted "$root/$session"
 echo "3 of 3: identifying in $identify_world"
 roslaunch embodied_active_learning identify.launch "profile:=$profile" "sessions:=$session" "world:=$identify_world" \
     "images:=$images" explorer:=uniform_ergodic "session:=$found" "session_root:=$root" name:=demo
-exec python3 tools/check_session.py identified "$root/$found" demo
+result="$(python3 tools/check_session.py identified "$root/$found" demo)"
+cat << RESULT
+
+================================ result ================================
+learned in $root/$session
+$result
+
+what to try next (source setup.bash):
+  other worlds:      roslaunch embodied_active_learning identify.launch sessions:=$session world:=stars_ducks profile:=$profile \\
+                         explorer:=uniform_ergodic images:=$images session_root:=$root
+  watch it in rviz:  add rviz:=true
+  your own world:    docs/worlds.md        a real Panda: docs/panda.md
+RESULT

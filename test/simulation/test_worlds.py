@@ -27,6 +27,7 @@ KINDS = {
     "star_plant_duck": ["duck", "plant", "star"],
     "plants_ducks": ["duck", "duck", "duck", "plant", "plant"],
     "stars_ducks": ["duck", "duck", "duck", "star", "star"],
+    "other_table": ["duck", "plant", "random_042"],
     "stars_plants": ["plant", "plant", "star", "star"],
 }
 DUCK = "{urdf: 'package://embodied_active_learning/worlds/models/duck/duck.urdf', position: [0.4, 0.0]}"
@@ -56,7 +57,7 @@ def urdf(tmp_path):
     return world_with
 
 
-def test_eight_workspaces_of_paper_are_shipped():
+def test_workspaces_of_paper_and_demo_are_shipped():
     assert set(world_names()) == set(KINDS)
     for name, kinds in KINDS.items():
         assert sorted(item.kind for item in load_world(name, WORKSPACE).objects) == kinds
