@@ -102,14 +102,11 @@ def mount_message(stamp: rospy.Time, mount: CameraMount) -> TransformStamped:
     return TransformStamped(header, names.CAMERA_FRAME, transform)
 
 
-def camera_message(stamp: rospy.Time, end_effector: np.ndarray, mount: CameraMount) -> TransformStamped:
-    """Return the transform of camera_optical_frame in the base frame for an end effector pose (4, 4) [m]."""
-    rotation, position = end_effector[:3, :3], end_effector[:3, 3]
+def camera_message(stamp: rospy.Time, position: np.ndarray, rotation: np.ndarray) -> TransformStamped:
+    """Return the transform of camera_optical_frame, at position (3,) [m] with rotation (3, 3), in the base frame."""
     header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
-    orientation = Quaternion(*quaternion(rotation @ mount.rotation))
-    return TransformStamped(
-        header, names.CAMERA_FRAME, Transform(Vector3(*(position + rotation @ mount.position)), orientation)
-    )
+    transform = Transform(Vector3(*map(float, position)), Quaternion(*quaternion(rotation)))
+    return TransformStamped(header, names.CAMERA_FRAME, transform)
 
 
 def path_message(stamp: rospy.Time, states: np.ndarray, height: float) -> Path:
