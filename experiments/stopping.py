@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """Evaluate the stopping criterion (exploration/stop: stable) on random worlds against fixed numbers of steps.
 
-    source setup.bash && OMP_NUM_THREADS=1 python3 experiments/stopping.py 2-1 3-7 [--steps 1000] [--reserved]
+    source setup.bash && OMP_NUM_THREADS=1 python3 experiments/stopping.py 2-1 3-7 [--stop fixed] [--reserved]
 
-A world is COUNT-SEED: its number of objects (0: an empty table) and the seed of objects, places and table. Each is
-learned once with a fixed number of steps, and its model is checked at every 50 steps as the criterion would: a run that
-ends early is the beginning of the longer one. The script can be interrupted at any time and skips finished worlds. It
-writes two tables: the checks of each world, and its objects at the stop and after the fixed numbers of steps.
+A world is COUNT-SEED: its number of objects (0: an empty table) and the seed of objects, places and table. It is
+learned until the criterion stops it, or with `--stop fixed` for all steps. Then the model of each check is evaluated:
+a run that ends early is the beginning of the longer one, so one run of all steps shows the objects at the stop and
+after fixed numbers of steps. The script can be interrupted at any time and skips finished worlds. It writes two tables:
+the checks, and the objects at the stop and after fixed numbers of steps.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ from embodied_active_learning.objects.report import SAME_PLACE
 from embodied_active_learning.objects.stability import StoppingCriterion
 from embodied_active_learning.pipeline.stopping import CHECK_EVERY, measure
 from embodied_active_learning.session.session import Session
-from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.session.tensor_files import read_tensors
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world, write_world
 from embodied_active_learning.simulation.truth import true_objects
@@ -38,7 +38,7 @@ from embodied_active_learning.simulation.truth import true_objects
 FIXED = (300, 600, 1000, 3000)  # steps
 KINDS = 6  # procedural objects to draw from, beside the shipped ones
 CHECKS = "world steps objects undiscovered drift stable_checks contrast latent_contribution coverage stopped"
-OBJECTS = "world rule steps minutes true found matched right error_cm"
+OBJECTS = "world rule steps true found matched right error_cm"
 
 
 def world_file(root: Path, count: int, seed: int, reserved: bool) -> Path:
@@ -52,7 +52,7 @@ def world_file(root: Path, count: int, seed: int, reserved: bool) -> Path:
     return path
 
 
-def learn(world: Path, root: Path, steps: int) -> Session:
+def learn(world: Path, root: Path, steps: int, stop: str) -> Session:
     """Learn a world with a checkpoint for every check, unless that was done before."""
     path = root / world.stem
     if (path / "summary.yaml").exists():
@@ -61,21 +61,23 @@ def learn(world: Path, root: Path, steps: int) -> Session:
     every = 3 * CHECK_EVERY
     training = {"checkpoint_every": every, "checkpoints_kept": 1000, "evaluate_every": every, "threads": 1}
     session = {"name": path.name, "root": str(root)}
-    return eal.learn(eal.load_config("demo", world=str(world), steps=steps, seed=1, session=session, training=training))
+    values = {"world": str(world), "steps": steps, "stop": stop, "seed": 1}
+    return eal.learn(eal.load_config("demo", **values, session=session, training=training))
 
 
 def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
     """Return the checks of a session, and its objects at the stop and after fixed numbers of steps."""
     config, criterion = session.config, StoppingCriterion()
     evaluations, training = session.read_table("evaluation"), session.read_table("training")
-    minutes = read_summary(session.paths.summary).wall_time / 60.0
     truth = np.array([item[1:] for item in true_objects(config)], dtype=float).reshape(-1, 2)
     rows: Dict[str, List[Dict[str, Any]]] = {"checks": [], "objects": []}
     with session.open_observations() as store:
         stored = store.snapshot()
-    for index, update in enumerate(evaluations["update"].astype(int)):
+    due = evaluations["update"].astype(int) % (config.training.updates_per_observation * CHECK_EVERY) == 0
+    for index in np.flatnonzero(due):
+        update = int(evaluations["update"][index])
         values = {name: column[index] for name, column in evaluations.items()}
-        evaluation = Evaluation(**{**values, "update": int(update), "observations": int(values["observations"])})
+        evaluation = Evaluation(**{**values, "update": update, "observations": int(values["observations"])})
         path = session.paths.checkpoints / f"checkpoint_{update:09d}.safetensors"
         model = TrainedModel(config, network_weights(read_tensors(path, "checkpoint")[0]))
         steps = config.training.first_update_at + update // config.training.updates_per_observation
@@ -90,9 +92,10 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
         for rule in rules:
             found = find_objects(model, stored.raw_states[:count], stored.images[:count], config, 1)
             centres = [item.centre[:2] for item in (*found.clusters, *found.unreachable) if item.kind == OBJECT]
-            share = update / evaluations["update"][-1]
-            facts = {"world": session.name, "rule": rule, "steps": steps, "minutes": round(share * minutes, 2)}
+            facts = {"world": session.name, "rule": rule, "steps": steps}
             rows["objects"].append({**facts, **compare(np.array(centres).reshape(-1, 2), truth)})
+        if "stable" in rules and config.may_stop_early:
+            break
     return rows
 
 
@@ -128,7 +131,8 @@ def main() -> None:
     """Learn and evaluate the worlds that are not in the tables yet."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("worlds", nargs="+", help="COUNT-SEED, such as 2-1")
-    parser.add_argument("--steps", type=int, default=1000, help="fixed number of steps of each run")
+    parser.add_argument("--steps", type=int, default=1000, help="largest number of steps")
+    parser.add_argument("--stop", choices=("stable", "fixed"), default="stable", help="when a run ends")
     parser.add_argument("--reserved", action="store_true", help="other objects, for a final report")
     parser.add_argument("--root", type=Path, default=Path("~/.ros/embodied_active_learning/stopping"))
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results")
@@ -142,7 +146,7 @@ def main() -> None:
         world = world_file(root, count, seed, options.reserved)
         if any(row["world"] == world.stem for row in read_rows(results / "stopping_checks.csv")):
             continue
-        session = learn(world, root, options.steps)
+        session = learn(world, root, options.steps, options.stop)
         rows = evaluate(session)
         append_rows(results / "stopping_objects.csv", OBJECTS, rows["objects"])
         append_rows(results / "stopping_checks.csv", CHECKS, rows["checks"])
