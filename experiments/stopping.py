@@ -26,7 +26,6 @@ from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.metrics import Evaluation
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.clustering import find_objects
-from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.report import SAME_PLACE
 from embodied_active_learning.objects.stability import StoppingCriterion
 from embodied_active_learning.pipeline.stopping import CHECK_EVERY, measure
@@ -59,7 +58,12 @@ def learn(world: Path, root: Path, steps: int, stop: str) -> Session:
         return Session.open_read_only(path)
     shutil.rmtree(path, ignore_errors=True)
     every = 3 * CHECK_EVERY
-    training = {"checkpoint_every": every, "checkpoints_kept": 1000, "evaluate_every": every, "threads": 1}
+    training = {
+        "checkpoint_every": every,
+        "checkpoints_kept": steps // CHECK_EVERY,
+        "evaluate_every": every,
+        "threads": 1,
+    }
     session = {"name": path.name, "root": str(root)}
     values = {"world": str(world), "steps": steps, "stop": stop, "seed": 1}
     return eal.learn(eal.load_config("demo", **values, session=session, training=training))
@@ -90,8 +94,8 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
         )
         count = evaluation.observations
         for rule in rules:
-            found = find_objects(model, stored.raw_states[:count], stored.images[:count], config, 1)
-            centres = [item.centre[:2] for item in (*found.clusters, *found.unreachable) if item.kind == OBJECT]
+            found = find_objects(model, stored.raw_states[:count], stored.images[:count], config, 1, blank=False)
+            centres = [item.centre[:2] for item in (*found.clusters, *found.unreachable)]
             facts = {"world": session.name, "rule": rule, "steps": steps}
             rows["objects"].append({**facts, **compare(np.array(centres).reshape(-1, 2), truth)})
         if "stable" in rules and config.may_stop_early:

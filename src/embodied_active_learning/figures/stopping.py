@@ -43,6 +43,7 @@ def draw_stopping(path: Path, session: Session) -> Path:
     label(counts, y="number of\nobjects")
     drift.plot(observations, 100.0 * table["drift"], color=colour(0), marker="o", markersize=3, linewidth=1.0)
     _limit(drift, 100.0 * LARGEST_DRIFT)
+    drift.set_ylim(bottom=0.0)
     label(drift, y="drift [cm]")
     for axes, (name, limit, text) in zip(shares, _SHARES):
         axes.plot(observations, table[name], color=colour(0), linewidth=1.2)

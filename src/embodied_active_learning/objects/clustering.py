@@ -68,7 +68,7 @@ class Clustering:
     Attributes:
         contrast: Largest over smallest predicted standard deviation.
         flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
-        clusters: Objects, largest share first, then one blank region.
+        clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
     """
 
@@ -78,7 +78,9 @@ class Clustering:
     unreachable: Tuple[Cluster, ...]
 
 
-def find_objects(model: TrainedModel, states: np.ndarray, images: np.ndarray, config: Config, seed: int) -> Clustering:
+def find_objects(
+    model: TrainedModel, states: np.ndarray, images: np.ndarray, config: Config, seed: int, blank: bool = True
+) -> Clustering:
     """Cluster importance samples of the conditional entropy, averaged over the latents of randomly drawn observations.
 
     Paper, appendix "Object Fingerprinting". The weight of a state is proportional to the conditional entropy
@@ -94,6 +96,7 @@ def find_objects(model: TrainedModel, states: np.ndarray, images: np.ndarray, co
         images: (N, H, W, 3) uint8, the images of these observations.
         config: The session's configuration.
         seed: One seed gives one result.
+        blank: Whether to locate a blank region, which takes half of the time.
     """
     settings, random = config.fingerprint, generator(seed, Stream.CLUSTERING)
     _warn_about_bandwidth(settings)
@@ -117,11 +120,11 @@ def find_objects(model: TrainedModel, states: np.ndarray, images: np.ndarray, co
         points, yaws = _foreground_points(samples, states, images, background, config, random)
         objects = _cluster(points, yaws, _PIXELS_PER_SAMPLE * len(samples), settings, workspace)
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
-    blank = _blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])
+    blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(
         contrast,
         False,
-        (*(cluster for cluster, within in zip(objects, reachable) if within), blank),
+        (*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
         tuple(cluster for cluster, within in zip(objects, reachable) if not within),
     )
 

@@ -14,7 +14,6 @@ from embodied_active_learning.model.metrics import Evaluation
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.model.verdict import ReconstructionErrors
 from embodied_active_learning.objects.clustering import find_objects
-from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.foreground_map import visible_things
 from embodied_active_learning.objects.stability import Measurement, StopCheck, StoppingCriterion, count_unexplained
 from embodied_active_learning.session.observations import Observations
@@ -89,8 +88,9 @@ def measure(
     count = evaluation.observations
     states, images = stored.raw_states[:count], stored.images[:count]
     settings = replace(config.fingerprint, latents=_LATENTS, samples=_SAMPLES)
-    found = find_objects(model, states, images, replace(config, fingerprint=settings), config.exploration.seed)
-    objects = [cluster.centre[:2] for cluster in (*found.clusters, *found.unreachable) if cluster.kind == OBJECT]
+    reduced = replace(config, fingerprint=settings)
+    found = find_objects(model, states, images, reduced, config.exploration.seed, blank=False)
+    objects = [cluster.centre[:2] for cluster in (*found.clusters, *found.unreachable)]
     centres: np.ndarray = np.array(objects, dtype=np.float64).reshape(-1, 2)
     errors = ReconstructionErrors(evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none)
     return Measurement(
