@@ -34,7 +34,7 @@ from embodied_active_learning.session.tensor_files import read_tensors
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world, write_world
 from embodied_active_learning.simulation.truth import true_objects
 
-FIXED = (300, 600, 1000, 3000)  # steps
+SHOWN = (300, 600, 1000, 3000)  # steps after which objects are shown
 KINDS = 6  # procedural objects to draw from, beside the shipped ones
 CHECKS = "world steps objects undiscovered drift stable_checks contrast latent_contribution coverage stopped"
 OBJECTS = "world rule steps true found matched right error_cm"
@@ -85,13 +85,17 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
         path = session.paths.checkpoints / f"checkpoint_{update:09d}.safetensors"
         model = TrainedModel(config, network_weights(read_tensors(path, "checkpoint")[0]))
         steps = config.training.first_update_at + update // config.training.updates_per_observation
-        rules = [f"fixed {fixed}" for fixed in FIXED if steps - CHECK_EVERY < fixed <= steps]
+        if steps > config.exploration.steps:  # the remaining updates at the end of the run
+            steps, rules = config.exploration.steps, []
+        else:
+            rules = [f"after {fixed}" for fixed in SHOWN if steps - CHECK_EVERY < fixed <= steps]
+        if update == config.updates_planned:
+            rules = [f"after {steps}"]
         check = criterion.add(measure(config, model, evaluation, float(training["coverage"][update - 1]), stored))
         if check.stopped and not any(row["rule"] == "stable" for row in rows["objects"]):
             rules.append("stable")
-        rows["checks"].append(
-            {"world": session.name, "steps": steps, **{name: getattr(check, name) for name in CHECKS.split()[2:]}}
-        )
+        parts = {name: round(float(getattr(check, name)), 4) for name in CHECKS.split()[2:]}
+        rows["checks"].append({"world": session.name, "steps": steps, **parts})
         count = evaluation.observations
         for rule in rules:
             found = find_objects(model, stored.raw_states[:count], stored.images[:count], config, 1, blank=False)
