@@ -9,6 +9,7 @@ from embodied_active_learning.figures.belief_maps import BeliefPanel, draw_belie
 from embodied_active_learning.figures.evidence import Evidence, draw_evidence
 from embodied_active_learning.figures.measurement_trace import Trace, draw_trace
 from embodied_active_learning.figures.top_view import compose_top_view
+from embodied_active_learning.figures.unknown_objects import draw_unknown
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.report import UNKNOWN, Truth
@@ -37,6 +38,8 @@ def draw_identification(
     if run.identification.by_views and evidence:
         views = SceneViews(run.states, run.pictures, run.config.camera)
         paths.append(draw_evidence(run.folder / "evidence.png", evidence, views, pdf))
+    if run.unknown:
+        paths.append(draw_unknown(run.folder / "unknown.png", run.unknown, pdf))
     for target in run.identification.targets[:MOST_TRACES]:
         own = decisions_about(decisions, target.session, target.fingerprint.name)
         path = run.folder / f"trace-{target.session}-{target.fingerprint.name}.png"

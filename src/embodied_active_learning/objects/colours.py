@@ -57,10 +57,14 @@ def colour_distance(change: np.ndarray) -> np.ndarray:
 class TableColours:
     """The colours of the bare table: clusters, each with its covariance."""
 
-    def __init__(self, places: Sequence[np.ndarray]) -> None:
+    def __init__(self, places: Sequence[np.ndarray], least_share: float = 0.0) -> None:
         """Fit to features (N, 3) of pixels around several places of the table.
 
         Colours that only one place shows are left out: they may be those of an object that reaches far.
+
+        Args:
+            places: (N, 3) features of each place, N >= 1.
+            least_share: Share of the places that must show a colour.
         """
         random = np.random.default_rng(0)
         drawn = [
@@ -76,7 +80,7 @@ class TableColours:
         table = np.zeros((len(places), count))
         np.add.at(table, (source, labels), 1.0)
         table /= np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-        common = (table > _LEAST_SHARE).sum(axis=0) >= min(2, len(places))
+        common = (table > _LEAST_SHARE).sum(axis=0) >= max(min(2, len(places)), least_share * len(places))
         kept = np.flatnonzero(common) if common.any() else np.array([int(table.sum(axis=0).argmax())])
         self._centres = np.asarray(centres)[kept]
         self._whitening: List[np.ndarray] = []

@@ -6,7 +6,7 @@ Paper, Sec. "Object Identification" and appendix.
 from __future__ import annotations
 
 import logging
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.matching import Matcher
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
+from embodied_active_learning.objects.unknown import UnknownObject, find_unknown
 from embodied_active_learning.workspace import Workspace
 
 LOG = logging.getLogger(__name__)
@@ -93,6 +94,7 @@ class Identification:
         self.open_places: np.ndarray = np.empty((0, 2))
         """(P, 2) places [m] that need more views, as of the last call of `decide`."""
         self._closed: Dict[str, List[Decision]] = {}
+        self._mosaic: Optional[Mosaic] = None
 
     def observe(self, states: np.ndarray, images: np.ndarray) -> None:
         """Process the next images of the stream.
@@ -115,7 +117,7 @@ class Identification:
         May be called after any number of images: what was decided in an earlier call without being open is kept.
         """
         views = SceneViews(states, images, self._camera)
-        mosaic = Mosaic(views, self._workspace, self._settings.margin)
+        mosaic = self._mosaic = Mosaic(views, self._workspace, self._settings.margin)
         decisions: List[Decision] = []
         places: List[np.ndarray] = []
         self.decided = True
@@ -133,6 +135,10 @@ class Identification:
                 decisions += best_decisions(resolved)
         self.open_places = np.array(places).reshape(-1, 2)
         return decisions
+
+    def unknown_objects(self, decisions: Sequence[Decision]) -> List[UnknownObject]:
+        """Return what stands where none of the last decisions found an object, the largest one first."""
+        return [] if self._mosaic is None else find_unknown(self._mosaic, decisions, self._settings.separation)
 
 
 def _make_group(

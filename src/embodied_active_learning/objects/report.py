@@ -11,6 +11,7 @@ import numpy as np
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
+from embodied_active_learning.objects.unknown import UnknownObject
 
 SAME_PLACE = 0.03
 """Distance [m] within which a decision, or a fingerprint's centre, belongs to an object."""
@@ -99,6 +100,12 @@ def decision_table(decisions: Sequence[Decision], truth: Truth = UNKNOWN) -> str
     widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip() for row in rows]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def unknown_text(unknown: Sequence[UnknownObject]) -> str:
+    """Format unknown objects as one line."""
+    places = [f"x {x:.3f}, y {y:.3f} m ({1e4 * area:.0f} cm2)" for (x, y), area, _ in unknown]
+    return f"unknown objects: {'; '.join(places) or 'none'}"
 
 
 def _row(decision: Decision, truth: Truth) -> Tuple[str, ...]:

@@ -12,6 +12,7 @@ from embodied_active_learning.errors import SessionError
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import (
     identification_folder,
@@ -98,6 +99,8 @@ class IdentificationRun:
         self._session = Session.open_read_only(self._path)
         config = self._session.config
         self.identification = Identification(self.sets, config.workspace.box(), config.camera, settings)
+        self.unknown: List[UnknownObject] = []
+        """Unknown objects, as of the last call of `decide`."""
         self._sequential = settings.stop_when_decided and self.identification.by_views
         self._next_look = FIRST_LOOK
         self._store: ObservationStore = self._session.open_observations()
@@ -167,11 +170,13 @@ class IdentificationRun:
 
     def decide(self) -> List[Decision]:
         """Decide for every fingerprint from the images processed so far."""
-        return self.identification.decide(self.states, self.pictures)
+        decisions = self.identification.decide(self.states, self.pictures)
+        self.unknown = self.identification.unknown_objects(decisions)
+        return decisions
 
     def save(self, decisions: Sequence[Decision]) -> Path:
         """Store decisions, beliefs and traces. Return the folder. Raises SessionError if writing fails."""
-        return save_identification(self._path, self._name, self.identification, decisions)
+        return save_identification(self._path, self._name, self.identification, decisions, self.unknown)
 
     def close(self) -> None:
         """Close the store's file."""

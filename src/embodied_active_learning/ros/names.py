@@ -61,6 +61,7 @@ BELIEF_GRIDS = "belief_grids"
 BELIEF_MARKERS = "belief_markers"
 DECISION_MARKERS = "decision_markers"
 FOUND_OBJECTS = "found_objects"
+UNKNOWN_OBJECTS = "unknown_objects"
 OPEN_PLACES = "open_places"
 
 # Configuration of the run as YAML, in recorded bags only.

@@ -19,6 +19,7 @@ from embodied_active_learning.files import LARGEST_YAML, FileReader
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, OUTCOMES, Decision
 from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.schema import build, required
 from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
 from embodied_active_learning.session.checksummed_yaml import checksummed_text, read_checksummed
@@ -29,6 +30,7 @@ FORMAT = "embodied_active_learning/decisions"
 VERSION = 4
 DECISIONS_FILE = "decisions.yaml"
 TABLE_FILE = "decisions.csv"
+UNKNOWN_FILE = "unknown.csv"
 BELIEFS_FILE = "beliefs.safetensors"
 TRACE_FILE = "trace.safetensors"
 _POSE = ("x", "y", "theta")
@@ -82,7 +84,11 @@ def is_identified(session_path: Path, name: str) -> bool:
 
 
 def save_identification(
-    session_path: Path, name: str, identification: Identification, decisions: Sequence[Decision]
+    session_path: Path,
+    name: str,
+    identification: Identification,
+    decisions: Sequence[Decision],
+    unknown: Sequence[UnknownObject] = (),
 ) -> Path:
     """Write an identification in place of an earlier one of the same name.
 
@@ -107,6 +113,7 @@ def save_identification(
     write_tensors(folder / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
     write_tensors(folder / TRACE_FILE, "trace", _trace(identification), facts)
     write_text(folder / TABLE_FILE, _table(rows))
+    write_text(folder / UNKNOWN_FILE, _table([_plain_unknown(item) for item in unknown]))
     write_text(folder / DECISIONS_FILE, text)
     return folder
 
@@ -172,6 +179,12 @@ def _plain(decision: Decision) -> Dict[str, Any]:
         if isinstance(value, float):
             row[name] = round(value, 5) if math.isfinite(value) else None
     return row
+
+
+def _plain_unknown(item: UnknownObject) -> Dict[str, Any]:
+    """Return an unknown object without its picture: place [m] and area [m^2]."""
+    x, y = map(float, item.place)
+    return {"x": round(x, 5), "y": round(y, 5), "area": round(item.area, 6)}
 
 
 def _upgrade(row: Any, version: int) -> Any:

@@ -12,6 +12,7 @@ from tf2_msgs.msg import TFMessage
 
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.ros import names
 
 
@@ -25,14 +26,16 @@ class FoundObjects:
     def __init__(self) -> None:
         """Advertise the topics."""
         self._poses = rospy.Publisher(names.FOUND_OBJECTS, PoseArray, queue_size=1, latch=True)
+        self._unknown = rospy.Publisher(names.UNKNOWN_OBJECTS, PoseArray, queue_size=1, latch=True)
         # Not a StaticTransformBroadcaster, which would repeat the frames of earlier identifications.
         self._frames = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
 
-    def publish(self, decisions: Sequence[Decision]) -> None:
-        """Publish all found objects; blanks are left out."""
+    def publish(self, decisions: Sequence[Decision], unknown: Sequence[UnknownObject]) -> None:
+        """Publish all found objects, without blanks, and all unknown ones."""
         found = found_objects(decisions)
         header = Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME)
         self._poses.publish(PoseArray(header, [pose_message(decision) for decision in found]))
+        self._unknown.publish(PoseArray(header, [pose_at(*map(float, item.place)) for item in unknown]))
         self._frames.publish(TFMessage([frame_message(header, decision) for decision in found]))
 
 
@@ -43,7 +46,11 @@ def found_objects(decisions: Sequence[Decision]) -> List[Decision]:
 
 def pose_message(decision: Decision) -> Pose:
     """Return the pose of a decision on the table."""
-    x, y, theta = map(float, decision.pose)
+    return pose_at(*map(float, decision.pose))
+
+
+def pose_at(x: float, y: float, theta: float = 0.0) -> Pose:
+    """Return a pose on the table, x [m], y [m], theta [rad]."""
     return Pose(Point(x, y, 0.0), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)))
 
 

@@ -64,7 +64,7 @@ class ImageSearch:
         decisions = run.decide()
         progress.check()
         run.save(decisions)
-        self._outputs.publish_result(run.identification.targets, run.processed, decisions)
+        self._outputs.publish_result(run.identification.targets, run.processed, decisions, run.unknown)
         return decisions
 
     def _running_session(self, images: int, progress: Progress) -> Path:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from geometry_msgs.msg import PoseArray
 from std_msgs.msg import Header
 
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.objects.found_objects import pose_at
 
 
 class OpenPlacesPublisher:
@@ -21,7 +22,7 @@ class OpenPlacesPublisher:
     def publish(self, places: np.ndarray) -> None:
         """Publish places (P, 2) [m] unless they are those published last."""
         if not np.array_equal(places, self._published):
-            poses = [Pose(Point(float(x), float(y), 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)) for x, y in places]
+            poses = [pose_at(float(x), float(y)) for x, y in places]
             self._publisher.publish(PoseArray(Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME), poses))
             self._published = places
 

@@ -18,11 +18,18 @@ from embodied_active_learning.objects.beliefs import BeliefGrid
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.search_target import SearchTarget
+from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import occupancy_grid_message
 from embodied_active_learning.ros.objects.found_objects import FoundObjects
 from embodied_active_learning.ros.rviz.belief_markers import belief_markers
-from embodied_active_learning.ros.rviz.markers import BLANK_COLOUR, FOUND_COLOUR, disc_marker, label_marker
+from embodied_active_learning.ros.rviz.markers import (
+    BLANK_COLOUR,
+    FOUND_COLOUR,
+    UNKNOWN_COLOUR,
+    disc_marker,
+    label_marker,
+)
 
 _LEAST_RANGE = 0.05
 """Smallest range of the grids: small variations of flat beliefs do not look like peaks."""
@@ -45,12 +52,18 @@ class RvizBeliefs:
         if self._beliefs.get_num_connections():
             self._publish_array(targets, images, (), finished=False)
 
-    def publish_result(self, targets: Sequence[SearchTarget], images: int, decisions: Sequence[Decision]) -> None:
-        """Publish the final beliefs and the decisions."""
+    def publish_result(
+        self,
+        targets: Sequence[SearchTarget],
+        images: int,
+        decisions: Sequence[Decision],
+        unknown: Sequence[UnknownObject],
+    ) -> None:
+        """Publish the final beliefs, the decisions and the unknown objects."""
         self._publish_grids(targets, always=True)
         self._publish_array(targets, images, decisions, finished=True)
-        self._markers.publish(decision_markers(rospy.Time.now(), decisions))
-        self._found.publish(decisions)
+        self._markers.publish(decision_markers(rospy.Time.now(), decisions, unknown))
+        self._found.publish(decisions, unknown)
 
     def _publish_array(
         self, targets: Sequence[SearchTarget], images: int, decisions: Sequence[Decision], finished: bool
@@ -141,12 +154,17 @@ def grid_message(stamp: rospy.Time, grid: BeliefGrid, scale: float) -> Occupancy
     return occupancy_grid_message(stamp, RegularGridInterpolator((grid.x, grid.y), shown)(points), x[0], y[0], cell)
 
 
-def decision_markers(stamp: rospy.Time, decisions: Sequence[Decision]) -> MarkerArray:
-    """Return a disc and a text for each place where an object was found; earlier markers are deleted."""
+def decision_markers(
+    stamp: rospy.Time, decisions: Sequence[Decision], unknown: Sequence[UnknownObject] = ()
+) -> MarkerArray:
+    """Return a disc and a text for each found and each unknown object; earlier markers are deleted."""
     markers: List[Marker] = [Marker(action=Marker.DELETEALL)]
     for number, decision in enumerate(item for item in decisions if item.found):
         colour = BLANK_COLOUR if decision.kind == BLANK else FOUND_COLOUR
         text = f"{decision.session}/{decision.fingerprint} {decision.confidence:.2f}"
         markers.append(disc_marker(stamp, "decisions", number, decision.pose, colour))
         markers.append(label_marker(stamp, "decision_names", number, decision.pose, text))
+    for number, item in enumerate(unknown):
+        markers.append(disc_marker(stamp, "unknown", number, item.place, UNKNOWN_COLOUR))
+        markers.append(label_marker(stamp, "unknown_names", number, item.place, "unknown"))
     return MarkerArray(markers)

@@ -12,6 +12,7 @@ from embodied_active_learning.ros import names
 
 OBJECT_COLOUR = ColorRGBA(0.95, 0.6, 0.1, 0.5)
 FOUND_COLOUR = ColorRGBA(0.1, 0.7, 0.2, 0.6)
+UNKNOWN_COLOUR = ColorRGBA(0.6, 0.2, 0.7, 0.6)
 BLANK_COLOUR = ColorRGBA(0.5, 0.5, 0.5, 0.4)
 _LABEL_COLOUR = ColorRGBA(0.05, 0.05, 0.05, 1.0)
 _DISC_RADIUS, _DISC_THICKNESS = 0.045, 0.002  # m

@@ -1,0 +1,90 @@
+"""Unknown objects: what stands on the table although no fingerprint was found there.
+
+The table's colours are those that many parts of the scene share, so no model of the table is needed. What differs from
+them and is as large as an object is reported. A table whose pattern varies more than its parts share is not judged.
+"""
+
+from __future__ import annotations
+
+from typing import List, NamedTuple, Sequence
+
+import cv2
+import numpy as np
+
+from embodied_active_learning.objects.colours import TableColours
+from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.fingerprint import OBJECT
+from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic
+
+_PART = 20
+"""Side of a part of the scene that shows its share of the table, in pixels of the mosaic: 6 cm."""
+_COMMON = 1.0 / 3.0
+"""Share of the parts that show a colour of the table; an object reaches into few of them."""
+_FOREGROUND = 5.0
+"""Distance from the nearest table colour, in standard deviations, from which a pixel is not the table's."""
+_LARGEST_FOREGROUND = 0.3
+"""Share of the scene above which the table itself differs from its colours."""
+_LEAST_AREA, _LARGEST_AREA = 4e-4, 1.2e-2
+"""Visible area of an object [m^2]."""
+_CROSS = np.ones((3, 3), np.uint8)
+_PICTURE = 20
+"""Half a side of a picture, in pixels of the mosaic: 12 cm in all."""
+
+
+class UnknownObject(NamedTuple):
+    """Something that stands at a place where no fingerprint was found.
+
+    Attributes:
+        place: (2,) its middle, x [m], y [m] in the base frame.
+        area: Its visible area [m^2].
+        picture: (H, W, 3) uint8, the place from above; rows along y.
+    """
+
+    place: np.ndarray
+    area: float
+    picture: np.ndarray
+
+
+def find_unknown(mosaic: Mosaic, decisions: Sequence[Decision], separation: float) -> List[UnknownObject]:
+    """Return the unknown objects of a scene, the largest one first.
+
+    Args:
+        mosaic: The scene.
+        decisions: Nothing within a distance of an object that was found is unknown.
+        separation: That distance [m].
+    """
+    shown = mosaic.inside & mosaic.seen
+    if not shown.any():
+        return []
+    foreground = (_table_colours(mosaic, shown).distance(mosaic.features) > _FOREGROUND) & shown
+    if foreground.sum() > _LARGEST_FOREGROUND * shown.sum():
+        return []
+    x, y = np.meshgrid(mosaic.x, mosaic.y)
+    for decision in decisions:
+        if decision.found and decision.kind == OBJECT:
+            foreground &= np.hypot(x - decision.pose[0], y - decision.pose[1]) > separation
+    cleaned = cv2.morphologyEx(foreground.astype(np.uint8), cv2.MORPH_CLOSE, _CROSS)
+    cleaned = cv2.morphologyEx(cleaned, cv2.MORPH_OPEN, _CROSS)
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats(cleaned)
+    areas = np.asarray(statistics)[:, cv2.CC_STAT_AREA] * MOSAIC_PIXEL**2
+    found = []
+    for label in 1 + np.argsort(-areas[1:], kind="stable"):
+        if _LEAST_AREA <= areas[label] <= _LARGEST_AREA:
+            rows, columns = (int(values.mean()) for values in np.nonzero(np.asarray(labels) == label))
+            picture = mosaic.colours[
+                max(rows - _PICTURE, 0) : rows + _PICTURE, max(columns - _PICTURE, 0) : columns + _PICTURE
+            ]
+            place = np.array([mosaic.x[columns], mosaic.y[rows]])
+            found.append(UnknownObject(place, float(areas[label]), picture))
+    return found
+
+
+def _table_colours(mosaic: Mosaic, shown: np.ndarray) -> TableColours:
+    """The colours that many parts of the scene share."""
+    size = len(mosaic.x)
+    parts = [
+        mosaic.features[rows, columns][shown[rows, columns]]
+        for rows in (slice(begin, begin + _PART) for begin in range(0, size, _PART))
+        for columns in (slice(begin, begin + _PART) for begin in range(0, size, _PART))
+    ]
+    return TableColours([part for part in parts if len(part)], _COMMON)
