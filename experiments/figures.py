@@ -36,7 +36,12 @@ MEASURES = ("ergodic_measure", "coverage", "active_units", "mse_own", "mse_shuff
 
 def main() -> None:
     """Draw everything of which there are results."""
-    for draw, name in ((coverage, "coverage"), (ergodicity, "ergodicity"), (table1, "table1")):
+    for draw, name in (
+        (coverage, "coverage"),
+        (ergodicity, "ergodicity"),
+        (table1, "table1"),
+        (pac_bayes, "pac_bayes"),
+    ):
         if (RESULTS / name).is_dir():
             draw()
     for draw_runs, sweep in ((learning_metrics, "learning_metrics"), (ablations, "ablations")):
@@ -102,6 +107,14 @@ def table1() -> None:
             models = len({row["model"] for row in chosen})
             lines += [f"Images: {variant}; rule: {rule}; models: {models} of 20.", "", *markdown(header, cells), ""]
     replace_block(PAGE, "table1", lines[:-1])
+
+
+def pac_bayes() -> None:
+    """List the terms of the bound, a column for each model and distribution."""
+    rows = read_rows(RESULTS / "pac_bayes" / "pac_bayes.csv")
+    header = ["term", *(f"{row['session']}, {row['distribution']}" for row in rows)]
+    names = [name for name in rows[0] if name not in ("session", "distribution")]
+    replace_block(PAGE, "pac_bayes", markdown(header, [[name, *(row[name] for row in rows)] for name in names]))
 
 
 def records_of(sweep: str) -> List[Record]:

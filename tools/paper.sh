@@ -11,4 +11,5 @@ python3 -m embodied_active_learning.sweep experiments/identification_images.yaml
 python3 experiments/table1.py "$sweeps/learning_metrics" "$sweeps/identification_images"
 OPENBLAS_NUM_THREADS=1 python3 experiments/coverage_benchmark.py
 python3 experiments/ergodicity.py "$sweeps/learning_metrics/ergodic-diagonal-seed1"
+python3 experiments/pac_bayes.py "$sweeps/learning_metrics/ergodic-diagonal-seed1"
 python3 experiments/figures.py
