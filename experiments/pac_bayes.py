@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure the terms of the paper's generalisation bound (Theorem 3) for trained models.
+"""Measure the terms of the paper's PAC-Bayes bound for trained models.
 
     source setup.bash && python3 experiments/pac_bayes.py SESSION ... [--views 300]
 

@@ -1,4 +1,4 @@
-"""How time averages along a run approach ensemble averages under a fixed target. Paper, Theorem 4 (Birkhoff).
+"""How time averages along a run approach ensemble averages under a fixed target. Paper, Sec. 3, Birkhoff's theorem.
 
 The model is trained beforehand and does not change, so that the target is the same for all steps and explorers.
 """

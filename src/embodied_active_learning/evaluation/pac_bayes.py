@@ -1,4 +1,4 @@
-"""The terms of the paper's generalisation bound (Theorem 3) for a trained model.
+"""The terms of the paper's PAC-Bayes bound for CVAEs (Sec. 3), for a trained model.
 
 Lipschitz constants are estimated by the largest spectral norm of the Jacobian at the given observations, which is at
 most the true constant. So the bound computed here is a lower estimate: if it is vacuous, the true bound is, too.
@@ -61,7 +61,7 @@ class BoundTerms:
 def bound_terms(
     network: ConditionalVAE, workspace: Workspace, sample: Views, fresh: Views, seed: int, probes: int = 16
 ) -> BoundTerms:
-    """Return the terms of Theorem 3 with lambda = n. Paper, Sec. 3.
+    """Return the terms of the bound with lambda = n. Paper, Sec. 3, "CVAE PAC-Bayes Bounds".
 
     Args:
         network: The trained network.
