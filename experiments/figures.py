@@ -36,13 +36,8 @@ MEASURES = ("ergodic_measure", "coverage", "active_units", "mse_own", "mse_shuff
 
 def main() -> None:
     """Draw everything of which there are results."""
-    for draw, name in (
-        (coverage, "coverage"),
-        (ergodicity, "ergodicity"),
-        (table1, "table1"),
-        (pac_bayes, "pac_bayes"),
-    ):
-        if (RESULTS / name).is_dir():
+    for draw in (coverage, ergodicity, table1, pac_bayes):
+        if (RESULTS / draw.__name__).is_dir():
             draw()
     for draw_runs, sweep in ((learning_metrics, "learning_metrics"), (ablations, "ablations")):
         records = records_of(sweep)

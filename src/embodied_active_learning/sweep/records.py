@@ -35,8 +35,9 @@ from embodied_active_learning.sweep.spec import portable_settings
 FORMAT = "embodied_active_learning/record"
 RECORD_FILE = "record.yaml"
 _READER = FileReader(CorruptFileError, "delete the folder, and make the run again")
-_ROWS = {"exploration": 300, "training": 200, "evaluation": 200}
-"""Rows of each table that are kept, evenly spread."""
+_ROWS = {"exploration": 300}
+_MOST_ROWS = 200
+"""Rows of each other table that are kept, evenly spread."""
 _DIGITS = 6
 
 
@@ -133,7 +134,7 @@ def write_record(folder: Path, record: Record) -> None:
     """Write a record with thinned-out tables; record.yaml comes last, so that its existence means completeness."""
     make_folder(folder)
     for name, columns in record.tables.items():
-        write_bytes(folder / f"{name}.csv", _thin_csv(columns, _ROWS[name]))
+        write_bytes(folder / f"{name}.csv", _thin_csv(columns, _ROWS.get(name, _MOST_ROWS)))
     content = _RecordFile(
         format=FORMAT,
         version=CONFIG_VERSION,
