@@ -90,7 +90,7 @@ def describe_object(true_object: Location, decisions: Sequence[Decision], truth:
         return f"{place}: FALSE ALARM, taken for {claims[0].fingerprint} (confidence {claims[0].confidence:.2f})"
     if not of_kind:
         return f"{place}: never learned, and rightly not claimed"
-    return f"{place}: missed ({of_kind[0].outcome}: {of_kind[0].reason})"
+    return f"{place}: not found ({of_kind[0].outcome}: {of_kind[0].reason})"
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ KINDS = {
     "star_plant_duck": ["duck", "plant", "star"],
     "plants_ducks": ["duck", "duck", "duck", "plant", "plant"],
     "stars_ducks": ["duck", "duck", "duck", "star", "star"],
-    "other_table": ["duck", "plant", "random_042"],
+    "other_table": ["duck", "plant", "toy"],
     "stars_plants": ["plant", "plant", "star", "star"],
 }
 DUCK = "{urdf: 'package://embodied_active_learning/worlds/models/duck/duck.urdf', position: [0.4, 0.0]}"
