@@ -26,7 +26,7 @@ _LARGEST_FOREGROUND = 0.3
 """Share of the scene above which the table itself differs from its colours."""
 _LEAST_AREA, _LARGEST_AREA = 4e-4, 1.2e-2
 """Visible area of an object [m^2]."""
-_CROSS = np.ones((3, 3), np.uint8)
+_CROSS: np.ndarray = np.ones((3, 3), np.uint8)
 _PICTURE = 20
 """Half a side of a picture, in pixels of the mosaic: 12 cm in all."""
 
