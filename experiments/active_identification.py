@@ -122,7 +122,7 @@ def explore(
             search.observe(states[-1][None], images[-1][None])
             if len(states) >= min(due, most):
                 decisions = search.decide(np.stack(states), np.stack(images))
-                due = next_look(len(states))
+                due = next_look(len(states), search.open_count)
                 motion.seek(search.open_places)
             command = motion.next_command()
             if isinstance(command, VelocityCommand):

@@ -75,6 +75,11 @@ class Identification:
         return [target for _, group in self._groups for target in group]
 
     @property
+    def open_count(self) -> int:
+        """Number of fingerprints that more images may decide, as of the last call of `decide`."""
+        return len(self.targets) - len(self._closed)
+
+    @property
     def by_views(self) -> bool:
         """Whether decisions are made by comparing views, not by the belief alone."""
         return self._settings.decision == "verified"

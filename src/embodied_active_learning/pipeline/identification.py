@@ -29,8 +29,7 @@ MOST_SESSIONS = 64
 _CHUNK = 64
 """Largest number of images processed by one call of `advance`."""
 FIRST_LOOK, _LOOK_GROWTH = 20, 1.2
-"""Images before the first look at the decisions, and factor from one look to the next. A look takes about 0.1 s for
-each open fingerprint; there are 25 of them in 2000 images."""
+"""Images before the first evaluation of the decisions, and factor from one evaluation to the next."""
 
 
 def read_sets(root: Path, sessions: Sequence[str]) -> List[FingerprintSet]:
@@ -54,9 +53,16 @@ def check_results(session_path: Path, name: str, overwrite: bool) -> None:
         raise SessionError(f"results exist in {folder}: choose another name, or set overwrite")
 
 
-def next_look(images: int) -> int:
-    """Return the number of images after which decisions are evaluated again, after an evaluation."""
-    return max(images + 1, int(_LOOK_GROWTH * images))
+def next_look(images: int, undecided: int) -> int:
+    """Return the number of images after which decisions are evaluated again.
+
+    Evaluation takes about 0.1 s for each undecided fingerprint, less than the arm needs for as many images.
+
+    Args:
+        images: Number of images at this evaluation.
+        undecided: Number of fingerprints that it has left undecided.
+    """
+    return max(images + max(undecided, 1), int(_LOOK_GROWTH * images))
 
 
 class IdentificationRun:
@@ -148,7 +154,7 @@ class IdentificationRun:
         return self._store.images[: self.processed]
 
     def advance(self) -> int:
-        """Process the next stored images, and look at the decisions when it is time. Return the number of images.
+        """Process the next stored images, and evaluate the decisions when it is time. Return the number of images.
 
         It is 0 if there are no new ones.
 
@@ -164,8 +170,8 @@ class IdentificationRun:
         states, images = self._store.raw_states[part], self._store.images[part]
         self.identification.observe(states, images)
         if self._sequential and len(states) and self.processed >= self._next_look:
-            self._next_look = next_look(self.processed)
             self.identification.decide(self.states, self.pictures)
+            self._next_look = next_look(self.processed, self.identification.open_count)
         return len(states)
 
     def decide(self) -> List[Decision]:

@@ -1,0 +1,20 @@
+"""When an identification evaluates its decisions."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from embodied_active_learning.pipeline.identification import FIRST_LOOK, next_look
+
+
+@given(st.integers(FIRST_LOOK, 5000), st.integers(0, 200))
+def test_next_evaluation_comes_later_the_more_is_undecided(images, undecided):
+    assert next_look(images, undecided) > images
+    assert next_look(images, undecided) >= images + undecided
+    assert next_look(images, undecided + 1) >= next_look(images, undecided)
+
+
+def test_evaluations_become_rarer():
+    images, count = FIRST_LOOK, 0
+    while images < 2000:
+        images, count = next_look(images, 3), count + 1
+    assert count < 30
