@@ -90,7 +90,16 @@ class TrainingConfig:
         0, "pending updates up to which the planner does not wait for the trainer; 0 is lock-step", "updates", 0, 10**6
     )
     device: str = setting("auto", "device of the model", choices=("auto", "cpu", "cuda"))
-    threads: int = setting(0, "CPU threads of the trainer; 0 uses all cores", "", 0, 1024)
+    threads: int = setting(
+        0, "CPU threads of each trainer; 0 uses all cores, or an equal share of them with several trainers", "", 0, 1024
+    )
+    trainers: int = setting(1, "trainers that share the updates; all but the first are workers", "", 1, 64)
+    updates_per_round: int = setting(
+        25, "updates that each of several trainers makes before their weights are averaged", "updates", 1, 10000
+    )
+    worker_timeout: float = setting(
+        30.0, "time that a round waits for a worker after the trainer's own updates", "s", 0.1, 3600.0
+    )
     active_unit_threshold: float = setting(0.01, "variance of a latent mean that makes a unit active", "", 0.0, 100.0)
     evaluate_every: int = setting(300, "interval between evaluations on a fixed subset", "updates", 1, 1000000)
     evaluation_size: int = setting(256, "observations in the fixed subset", "", 2, 65536)
@@ -324,19 +333,31 @@ class Config:
         proportional = ratio * (steps - training.first_update_at)
         return steps if update >= proportional else training.first_update_at + update // ratio
 
+    @property
+    def updates_per_refresh(self) -> int:
+        """Updates between two models that the planner may query: those of an observation, or of a round of trainers."""
+        training = self.training
+        several = training.trainers > 1 and training.updates_per_observation > 0
+        return training.trainers * training.updates_per_round if several else training.updates_per_observation
+
     def updates_due(self, observations: int) -> int:
-        """Return the number of model updates due after a number of observations; all when exploration is complete."""
+        """Return the number of model updates due after a number of observations; all when exploration is complete.
+
+        Before, only whole rounds are due.
+        """
         training = self.training
         if observations >= self.exploration.steps:
             return self.updates_planned
-        return training.updates_per_observation * max(0, observations + 1 - training.first_update_at)
+        due = training.updates_per_observation * max(0, observations + 1 - training.first_update_at)
+        return due - due % max(1, self.updates_per_refresh)
 
     def updates_awaited(self, observations: int) -> int:
         """Return the updates that the planner waits for after a number of observations, before training/max_lag.
 
-        The updates due to the newest observation run while the arm moves; at the end all are awaited.
+        The newest updates that are due run while the arm moves; at the end all are awaited.
         """
-        return self.updates_due(observations if observations >= self.exploration.steps else observations - 1)
+        due = self.updates_due(observations)
+        return due if observations >= self.exploration.steps else max(0, due - self.updates_per_refresh)
 
     @classmethod
     def from_dict(cls, values: Dict[str, Any], subject: Any = "") -> Config:

@@ -159,3 +159,16 @@ def test_paper_profile_differs_from_the_defaults():
 
 def test_default_profile_is_the_default_configuration():
     assert Config.from_dict(load_profile(ROOT / "config" / "default.yaml")) == Config()
+
+
+@given(st.integers(2, 5), st.integers(1, 40), st.integers(1, 4), st.integers(20, 300), st.data())
+def test_rounds_of_several_trainers_are_due_as_a_whole(trainers, updates, ratio, steps, data):
+    training = {"trainers": trainers, "updates_per_round": updates, "updates_per_observation": ratio}
+    training.update(batch_size=8, first_update_at=8)
+    config = Config.from_dict({"training": training, "exploration": {"steps": steps}})
+    count = data.draw(st.integers(0, steps - 1))
+    due, awaited = config.updates_due(count), config.updates_awaited(count)
+    assert due % (trainers * updates) == 0
+    assert awaited == max(0, due - trainers * updates)
+    assert due == 0 or config.observations_needed(due - 1) <= count
+    assert config.updates_awaited(steps) == config.updates_due(steps) == ratio * steps

@@ -476,3 +476,31 @@ def test_failed_step_does_not_refresh_replicas():
         learner.join()
     assert learner.replicas.updates == 1
     assert not called
+
+
+def test_vectors_restore_weights_and_moments():
+    trained, fresh = make(), make(seed=1)
+    for _ in range(3):
+        trained.update()
+    fresh.load_weights(trained.weights())
+    fresh.load_moments(trained.moments())
+    tensors, others = fresh.state_dict().tensors, trained.state_dict().tensors
+    assert all(torch.equal(tensors[name], tensor) for name, tensor in others.items())
+
+
+def test_average_is_weighted_by_updates():
+    learner = make()
+    own = learner.weights()
+    learner.average(1, [(3, own + 4.0)])
+    assert torch.allclose(learner.weights(), own + 3.0, atol=1e-6)
+
+
+def test_trainers_in_turn_evaluate_schedule_as_often_as_one():
+    """The schedule is due at each second number."""
+    turns, single = make(), make()
+    numbers = [turns.update(trainers=2).update for _ in range(3)]
+    for _ in range(6):
+        single.update()
+    assert numbers == [2, 4, 6]
+    assert turns.updates == single.updates == 6
+    assert len(turns.schedule.state_dict()["window"]) == len(single.schedule.state_dict()["window"]) == 3

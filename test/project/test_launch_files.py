@@ -29,6 +29,7 @@ def test_arguments_are_documented(path):
         ("identify", set()),
         ("replay", {"bag"}),
         ("robot", set()),
+        ("trainer_workers", set()),
         ("two_machines", {"robot_host", "server_host", "robot_env", "server_env", "robot_ip"}),
     ],
 )
@@ -92,6 +93,7 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
         "server_env": "/env.sh",
         "robot_ip": "172.16.0.2",
         "hardware": "false",
+        "trainers": "3",
         "session_root": tmp_path,
     }
     path = next(path for path in LAUNCH if path.stem == "two_machines")
@@ -100,7 +102,10 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
     places = {node.name: node.machine.address for node in config.nodes}
     at_robot = {name for name, address in places.items() if address == "10.77.0.1"}
     assert at_robot == {"franka_arm", "camera_pipeline"}
-    assert {places["trainer"], places["ergodic_planner"], places["monitor"]} == {"10.77.0.2"}
+    on_server = ("trainer", "trainer_worker_1", "trainer_worker_2", "ergodic_planner", "monitor")
+    assert {places[name] for name in on_server} == {"10.77.0.2"}
+    assert "trainer_worker_3" not in places
+    assert config.params["/config"].value["training"]["trainers"] == 3
     assert not config.params["/use_sim_time"].value
 
 

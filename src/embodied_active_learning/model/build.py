@@ -41,6 +41,15 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda")
 
 
+def set_threads(config: Config) -> None:
+    """Set the number of threads of this process: training/threads, or this trainer's share of the cores."""
+    training = config.training
+    if training.threads:
+        torch.set_num_threads(training.threads)
+    elif training.trainers > 1:
+        torch.set_num_threads(max(1, torch.get_num_threads() // training.trainers))
+
+
 def check_device(device: torch.device) -> None:
     """Compute a small convolution and its gradient on a device.
 

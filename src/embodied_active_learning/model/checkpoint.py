@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, Mapping, NamedTuple, Optional
+from typing import Any, Dict, Iterable, Iterator, Mapping, NamedTuple, Optional, Tuple
 
 import torch
 
@@ -39,6 +39,18 @@ def with_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, t
 def network_weights(tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
     """Return the network's weights among a checkpoint's tensors, by the network's own names."""
     return with_prefix(NETWORK, tensors)
+
+
+def pack(tensors: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    """Return all elements of the tensors as one vector (P,) float32 on the CPU: a copy."""
+    return torch.cat([tensor.detach().reshape(-1).to("cpu", torch.float32) for tensor in tensors.values()])
+
+
+def unpack(vector: torch.Tensor, like: Mapping[str, torch.Tensor]) -> Iterator[Tuple[torch.Tensor, torch.Tensor]]:
+    """Yield each of the tensors that pack() was given, with its elements in the vector (P,), in its shape."""
+    parts = vector.split([tensor.numel() for tensor in like.values()])
+    for tensor, part in zip(like.values(), parts):
+        yield tensor, part.reshape(tensor.shape)
 
 
 def require_keys(mapping: Mapping[str, Any], keys: Iterable[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 import torch
@@ -20,8 +20,10 @@ from embodied_active_learning.model.checkpoint import (
     PREVIOUS,
     LearnerState,
     add_prefix,
+    pack,
     require_keys,
     require_shapes,
+    unpack,
     with_prefix,
 )
 from embodied_active_learning.model.cvae import ConditionalVAE
@@ -33,7 +35,7 @@ from embodied_active_learning.model.schedule import Schedule
 
 ATTEMPTS = 5  # batches tried for one update before an invalid loss counts as divergence
 LOSS_LIMIT = 1e6  # nats per pixel value; a healthy model stays below 1e5 even if it is sure of a wrong image
-BATCHES_STREAM, STATES_STREAM, SUBSET_STREAM = 201, 202, 203  # of random numbers, for SeedSequence
+BATCHES_STREAM, STATES_STREAM, SUBSET_STREAM, WORKER_STREAM = 201, 202, 203, 204  # of random numbers, for SeedSequence
 
 
 class DivergenceError(EmbodiedActiveLearningError):
@@ -96,6 +98,7 @@ class Learner:
         self.updates = 0
         self.skipped = 0
         self.rollbacks = 0
+        self._prepared = -1  # update that prepare() was called for
         self._inference = choose_inference(config, self._device)
         self.replicas = Replicas(self.network, self._inference)
 
@@ -105,26 +108,40 @@ class Learner:
         self.join()
         return self._network
 
-    def update(self) -> UpdateReport:
+    def prepare(self, trainers: int = 1) -> None:
+        """Do what precedes the next update: initialise the colour, and evaluate the schedule if that is due.
+
+        Args:
+            trainers: Number of trainers that take turns in numbering the updates: this one makes each trainers-th.
+        """
+        if self._prepared == self.updates:
+            return
+        count = self._count(self.updates)
+        if self.updates == 0 and self._config.training.start_at_mean_colour:
+            self.network.set_initial_colour(self._mean_colour(count))
+        if -self.updates % self._config.objective.schedule_every < trainers:  # a multiple among the next numbers
+            self._evaluate_schedule(count)
+        self._prepared = self.updates
+
+    def update(self, trainers: int = 1) -> UpdateReport:
         """Take one step of Adam on two fresh batches. Paper, Alg. 1, lines 12 to 14.
 
         Uses only the observations that this update is entitled to (Config.observations_needed), even if more are
         stored, so that the result depends on the sequence of observations alone.
 
+        Args:
+            trainers: See prepare().
+
         Raises:
             DivergenceError: Five losses or gradients in a row were not finite, or too large.
         """
-        count = self._count(self.updates)
-        if self.updates == 0 and self._config.training.start_at_mean_colour:
-            self.network.set_initial_colour(self._mean_colour(count))
-        if self.updates % self._config.objective.schedule_every == 0:
-            self._evaluate_schedule(count)
-        beta, gamma = self.schedule.beta, self.schedule.gamma
-        terms = self._step(count, beta, gamma)
-        self.updates += 1
+        self.prepare(trainers)
+        number, beta, gamma = self.updates, self.schedule.beta, self.schedule.gamma
+        terms = self.step(beta, gamma)
+        self.updates = number + trainers
         return UpdateReport(
             update=self.updates,
-            observations=count,
+            observations=self._count(number),
             loss=float(terms.total),
             reconstruction=float(terms.reconstruction),
             conditional_reconstruction=float(terms.conditional_reconstruction),
@@ -181,6 +198,47 @@ class Learner:
     def join(self) -> None:
         """Wait for all background work. Raises its first error."""
         self._optimiser.join()
+
+    def weights(self) -> torch.Tensor:
+        """Return a copy of all weights as one vector (P,) float32 on the CPU."""
+        return pack(dict(self.network.named_parameters()))
+
+    def load_weights(self, weights: torch.Tensor) -> None:
+        """Set all weights from a vector (P,) as weights() returns it."""
+        with torch.no_grad():
+            for parameter, values in unpack(weights, dict(self.network.named_parameters())):
+                parameter.copy_(values)
+
+    def average(self, updates: int, others: Sequence[Tuple[int, torch.Tensor]]) -> None:
+        """Average the weights with those of other trainers, in proportion to the updates that each has made.
+
+        Args:
+            updates: Number that this trainer has made since all had the same weights.
+            others: Number and weights (P,) of each other trainer.
+        """
+        total = updates + sum(made for made, _ in others)
+        if total > 0:
+            mean = self.weights() * (updates / total)
+            for made, weights in others:
+                mean.add_(weights, alpha=made / total)
+            self.load_weights(mean)
+
+    def moments(self) -> torch.Tensor:
+        """Return a copy of Adam's moments and step count as one vector (2 P + 1,) float32 on the CPU."""
+        self.join()
+        return pack(self._optimiser.state_dict())
+
+    def load_moments(self, moments: torch.Tensor) -> None:
+        """Set Adam's moments and step count from a vector (2 P + 1,) as moments() returns it."""
+        self.join()
+        state = self._optimiser.state_dict()
+        for tensor, values in unpack(moments, state):
+            tensor.copy_(values)
+        self._optimiser.load_state_dict(state)
+
+    def reseed(self, *key: int) -> None:
+        """Draw the following batches and noise from a stream of their own, given by the seed and a key."""
+        self._random = np.random.default_rng(np.random.SeedSequence([self._seed, WORKER_STREAM, *key]))
 
     def state_dict(self) -> LearnerState:
         """Return a copy of the state: weights, moments, counters, schedule and random generator.
@@ -249,12 +307,18 @@ class Learner:
 
     def _load_counters(self, counters: Dict[str, Any]) -> None:
         self.updates, self.skipped = int(counters["updates"]), int(counters["skipped"])
+        self._prepared = -1
         self.rollbacks = int(counters.get("rollbacks", 0))
         self.schedule.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
 
-    def _step(self, count: int, beta: float, gamma: float) -> LossTerms:
-        """Take a step on the first pair of batches whose loss is finite and below LOSS_LIMIT, and gradient finite."""
+    def step(self, beta: float, gamma: float) -> LossTerms:
+        """Take update number `updates` with given loss weights, without counting it.
+
+        Takes the first pair of batches whose loss is finite and below LOSS_LIMIT, and gradient finite. Raises
+        DivergenceError like update().
+        """
+        count = self._count(self.updates)
         for _ in range(ATTEMPTS):
             terms = self._compute_gradients(count, beta, gamma)
             if float(terms.total) < LOSS_LIMIT and math.isfinite(float(terms.total + terms.gradient_sum)):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Callable, Optional, Type
 
@@ -15,8 +16,10 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import SIMULATED, Config
+from embodied_active_learning.distributed.local import LocalWorkers
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
+from embodied_active_learning.model.build import set_threads
 from embodied_active_learning.model.learner import UpdateReport
 from embodied_active_learning.pipeline.exploration import ExplorationRun, exploration_row
 from embodied_active_learning.pipeline.progress import Progress
@@ -65,21 +68,32 @@ def learn(config: Config, on_progress: Optional[ProgressCallback] = None) -> Ses
 class BackgroundTraining:
     """A TrainingRun that trains in a thread of its own. Leaving the context writes a checkpoint and ends it."""
 
-    def __init__(self, config: Config) -> None:
-        """Create or resume the configured session. Raises EmbodiedActiveLearningError if that is not possible."""
+    def __init__(self, config: Config, local_workers: bool = True) -> None:
+        """Create or resume the configured session.
+
+        Args:
+            config: Of the run.
+            local_workers: Start the configured trainers, besides the first, as processes of this computer.
+
+        Raises:
+            EmbodiedActiveLearningError: The session cannot be created or resumed.
+        """
         self._config = config
         self._torch_threads = torch.get_num_threads()
-        if config.training.threads:
-            torch.set_num_threads(config.training.threads)
+        set_threads(config)
         self.run = TrainingRun(config)
         self.report: Optional[UpdateReport] = None
         """Report of the newest update."""
         self._error: Optional[Exception] = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._train, name="training")
+        self._local_workers = local_workers
+        self._workers = ExitStack()
 
     def __enter__(self) -> BackgroundTraining:
         torch.set_num_threads(self.run.loss.torch_threads)
+        if self.run.pool is not None and self._local_workers:
+            self._workers.enter_context(LocalWorkers(self._config.training.trainers - 1, self.run.pool.address))
         self._thread.start()
         return self
 
@@ -92,6 +106,7 @@ class BackgroundTraining:
         self._stop.set()
         self.run.wake()
         self._thread.join()
+        self._workers.close()
         self.run.close()
         torch.set_num_threads(self._torch_threads)
         if error is None:

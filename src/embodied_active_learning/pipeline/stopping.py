@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, Dict, Mapping, Optional
 
@@ -35,9 +36,10 @@ class EarlyStop:
         self.newest: Optional[StopCheck] = None
         """The newest check since the start of the program."""
 
-    def is_due(self, update: int) -> bool:
-        """Return whether a check follows this update (from 1)."""
-        return self.steps is None and update % (CHECK_EVERY * self._config.training.updates_per_observation) == 0
+    @property
+    def period(self) -> int:
+        """Number of updates between two checks."""
+        return CHECK_EVERY * self._config.training.updates_per_observation
 
     def check(self, learner: Learner, evaluation: Evaluation, stored: Observations) -> StopCheck:
         """Check the model after an update, and set `steps` if the run may end.
@@ -55,7 +57,8 @@ class EarlyStop:
         if check.stopped:
             training = self._config.training
             # A planner in lock-step receives this model, and with it the decision, after that many observations.
-            awaiting = training.first_update_at + evaluation.update // training.updates_per_observation
+            awaited = evaluation.update + self._config.updates_per_refresh
+            awaiting = training.first_update_at - 1 + math.ceil(awaited / training.updates_per_observation)
             self.steps = min(self._config.exploration.steps, max(awaiting, len(stored.stamps)))
         self.newest = check
         return check

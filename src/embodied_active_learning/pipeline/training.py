@@ -12,6 +12,7 @@ from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.distributed.pool import WorkerPool
 from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.model.checkpoint import LearnerState, network_weights
 from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
@@ -33,8 +34,11 @@ class TrainingRun:
     One thread calls train(); any other may call observe(), log_std(), encode() and save() meanwhile.
     """
 
-    def __init__(self, config: Config) -> None:
-        """Create or resume the configured session. Raises EmbodiedActiveLearningError if that is not possible."""
+    def __init__(self, config: Config, address: str = "127.0.0.1") -> None:
+        """Create or resume the configured session. Workers, if there are any, join at an address of this computer.
+
+        Raises EmbodiedActiveLearningError if that is not possible.
+        """
         self._config = config
         self._workspace = config.workspace.box()
         with ExitStack() as opened:  # releases the session's lock if a part of it is damaged
@@ -52,9 +56,10 @@ class TrainingRun:
             self._refreshed = self._learner.replicas.updates  # updates of the newest replica
             # For a rollback before the first checkpoint.
             self._initial = None if self._learner.updates else self._learner.state_dict()
-            self._training_table = self._open_table("training")
-            self._evaluation_table = self._open_table("evaluation")
-            self._stopping_table = self._open_table("stopping")
+            several = config.training.trainers > 1
+            names = ("training", "evaluation", "stopping", *(("rounds",) if several else ()))
+            self._tables = {name: self._open_table(name) for name in names}
+            self.pool = WorkerPool(config, self._store, address) if several else None
             opened.pop_all()
 
     @property
@@ -205,10 +210,11 @@ class TrainingRun:
             return self._saved
 
     def close(self) -> None:
-        """Close the session's files and release its lock."""
-        self._training_table.close()
-        self._evaluation_table.close()
-        self._stopping_table.close()
+        """Drop the workers, close the session's files and release its lock."""
+        if self.pool is not None:
+            self.pool.close()
+        for table in self._tables.values():
+            table.close()
         self._store.close()
         self._session.close()
 
@@ -249,8 +255,12 @@ class TrainingRun:
         self, stop: threading.Event, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]
     ) -> None:
         """Make an update, finish the run or wait, whichever is due; then write a checkpoint if requested."""
-        if self._learner.updates < self.updates_due:
-            on_update(self._update())
+        if self.updates < self.updates_due:
+            if self.pool is None:
+                self._make_update(on_update, self.updates + 1)
+                self._after_updates(self.updates - 1)
+            else:
+                self._make_round(self.pool, stop, on_update)
         elif self._is_complete():
             self._finish()
             on_finish()
@@ -258,32 +268,51 @@ class TrainingRun:
             self._wait_for_work(stop)
         self._save_if_requested()
 
-    def _update(self) -> UpdateReport:
-        report = self._learner.update()
-        self._training_table.append(dataclasses.asdict(report))
-        training = self._config.training
-        stopped = self._evaluate(report.update)
-        if report.update % training.updates_per_observation == 0:
-            self._learner.refresh_async(self.wake)
-            self._refreshed = report.update
-        if report.update % training.checkpoint_every == 0 or stopped:
-            self._checkpoint()  # after the refresh, because it stores which model answers queries
-        return report
+    def _make_update(self, on_update: Callable[[UpdateReport], None], end: int, trainers: int = 1) -> None:
+        """Make an update that is reported as number `end` at most."""
+        report = self._learner.update(trainers)
+        report = dataclasses.replace(report, update=min(report.update, end))
+        self._tables["training"].append(dataclasses.asdict(report))
+        on_update(report)
 
-    def _evaluate(self, update: int) -> bool:
-        """Evaluate the model if it is time to; return whether this has ended the exploration."""
+    def _make_round(self, pool: WorkerPool, stop: threading.Event, on_update: Callable[[UpdateReport], None]) -> None:
+        """Make updates together with the workers until the round ends, a worker fails or stop is set."""
+        first, size = self.updates, self._config.updates_per_refresh
+        end = min(first - first % size + size, self._config.updates_planned)
+        made = pool.make_round(self._learner, end, stop, lambda trainers: self._make_update(on_update, end, trainers))
+        if self.updates < end:  # others have not made theirs, and this trainer's have now other numbers
+            self._tables["training"].truncate_after("update", self.updates)
+        self._tables["rounds"].append(made)
+        self._after_updates(first)
+
+    def _after_updates(self, before: int) -> None:
+        """Evaluate, refresh a replica and write a checkpoint if that became due after update number `before`."""
+        stopped = self._evaluate(before)
+        if self._passed(self._config.updates_per_refresh, before):
+            self._learner.refresh_async(self.wake)
+            self._refreshed = self.updates
+        if self._passed(self._config.training.checkpoint_every, before) or stopped:
+            self._checkpoint()  # after the refresh, because it stores which model answers queries
+
+    def _passed(self, period: int, before: int) -> bool:
+        """Return whether a multiple of a period has been reached after update number `before`."""
+        return self.updates // period > before // period
+
+    def _evaluate(self, before: int) -> bool:
+        """Evaluate the model if that became due after update number `before` -> whether this ends the exploration."""
         early_stop = self._early_stop
-        to_check = early_stop is not None and early_stop.is_due(update)
-        to_record = update % self._config.training.evaluate_every == 0 or update == self._config.updates_planned
+        to_check = early_stop is not None and early_stop.steps is None and self._passed(early_stop.period, before)
+        every, planned = self._config.training.evaluate_every, self._config.updates_planned
+        to_record = self._passed(every, before) or self.updates == planned
         if not to_check and not to_record:
             return False
         evaluation = self._learner.evaluate()
         if to_record:
-            self._evaluation_table.append(dataclasses.asdict(evaluation))
+            self._tables["evaluation"].append(dataclasses.asdict(evaluation))
         if early_stop is None or not to_check:
             return False
         check = early_stop.check(self._learner, evaluation, self._store.snapshot())
-        self._stopping_table.append(check)
+        self._tables["stopping"].append(check)
         if check.stopped:
             self._end_after(early_stop.steps)
             LOG.info("%s: the exploration ends after %d steps", check.reason, self._config.exploration.steps)
@@ -309,7 +338,7 @@ class TrainingRun:
         self._learner.rollback(good)
         self._refreshed = self._learner.replicas.updates
         self._restore_early_stop({} if checkpoint is None else checkpoint.counters)
-        for table in (self._training_table, self._evaluation_table, self._stopping_table):
+        for table in self._tables.values():
             table.truncate_after("update", self.updates)
         LOG.warning("%s; rollback to the model of update %d", error, self.updates)
 
@@ -350,14 +379,12 @@ class TrainingRun:
 
     def _checkpoint(self) -> Path:
         """Write a checkpoint of the current state, unless it exists already, and return its path."""
-        learner = self._learner
         content = self.updates, self.skipped, self.rollbacks, self._refreshed, self.observations
         if self._checkpointed is not None:
             stored, path = self._checkpointed
             if stored == content and path.exists():
                 return path
-        state = learner.state_dict()
-        tensors, counters = state
+        tensors, counters = state = self._learner.state_dict()
         invalid = state.non_finite()
         if invalid is not None:
             raise DivergenceError(

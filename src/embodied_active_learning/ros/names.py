@@ -78,6 +78,8 @@ CONFIG_PARAMETER = "config"
 # Configuration of a real arm started by robot.launch.
 ARM_CONFIG_PARAMETER = "franka_arm/config"
 FAILURE_PARAMETER = "failure"
+# Where trainer workers join, "host:port".
+TRAINER_ADDRESS = "trainer/address"
 # Persistent parameters: state of a node across its restarts; launch files clear them.
 STOPPED_BY = "~stopped_by"
 PAUSED_BY = "~paused_by"

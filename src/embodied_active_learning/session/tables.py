@@ -38,6 +38,7 @@ COLUMNS: Dict[str, Tuple[str, ...]] = {
         "update", "observations", "objects", "undiscovered", "drift", "stable_checks", "contrast",
         "latent_contribution", "coverage", "stopped",
     ),
+    "rounds": ("update", "trainers", "updates", "seconds", "computing"),
 }
 # fmt: on
 

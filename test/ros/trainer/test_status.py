@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.distributed.pool import WorkerStatus
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN
 from embodied_active_learning.ros.trainer import status as status_module
@@ -17,7 +18,7 @@ CONFIG = Config()
 def run(tmp_path):
     """A training run with 80 observations that has made 10 of 48 updates due."""
     values = {"observations": 80, "updates": 10, "updates_due": 48, "skipped": 0, "rollbacks": 0, "finished": False}
-    return SimpleNamespace(folder=tmp_path, config=CONFIG, stop_check=None, **values)
+    return SimpleNamespace(folder=tmp_path, config=CONFIG, stop_check=None, pool=None, **values)
 
 
 @pytest.fixture
@@ -84,3 +85,14 @@ def test_health_reports_full_disk_as_warning(status, monkeypatch):
 def test_health_reports_failed_training_as_error(status):
     status.error = RuntimeError("training failed")
     assert (status.health().level, status.health().message) == (ERROR, "training failed")
+
+
+def test_health_shows_each_worker_and_warns_if_one_is_missing(status, run):
+    status._config = Config.from_dict({"training": {"trainers": 3}})
+    workers = [WorkerStatus(slot=2, rounds=7, updates=175)]
+    run.pool = SimpleNamespace(status=lambda: workers)
+    health = status.health()
+    assert (health.level, health.values["worker 2"].split(",")[0]) == (WARN, "7 rounds")
+    assert "2 of 3 trainers" in health.message
+    workers.append(WorkerStatus(slot=1))
+    assert status.health().level == OK

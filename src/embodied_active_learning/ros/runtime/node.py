@@ -27,7 +27,11 @@ class ShutdownRequestedError(Exception):
 
 
 def run_node(
-    name: str, body: Callable[[Config], None], needs_clock: bool = False, always_required: bool = False
+    name: str,
+    body: Callable[[Config], None],
+    needs_clock: bool = False,
+    always_required: bool = False,
+    failure_ends_run: bool = True,
 ) -> None:
     """Run body(config) as a ROS node, and exit with an ExitCode. `--help` prints the docstring of the node instead.
 
@@ -36,19 +40,22 @@ def run_node(
         body: returns when the node has finished or rospy is shut down.
         needs_clock: with /use_sim_time, wait for a publisher of /clock first.
         always_required: the launch always ends with this node, so it need not report a failure to a FailureWatch.
+        failure_ends_run: whether a FailureWatch ends the run if this node fails.
     """
     if {"-h", "--help"} & set(sys.argv[1:]):
         sys.stdout.write(f"{getattr(body, '__globals__', {}).get('__doc__') or name}{_HELP}\n")
         sys.exit(ExitCode.SUCCESS)
     deadline = ShutdownDeadline(name)
     try:
-        code = _run(name, body, needs_clock, always_required)
+        code = _run(name, body, needs_clock, always_required, failure_ends_run and not always_required)
     finally:
         deadline.start()
     exit_process(code)
 
 
-def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool) -> ExitCode:
+def _run(
+    name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool, reports_failure: bool
+) -> ExitCode:
     wait_for_master()
     try:
         require_unused_names([own_name(name)])
@@ -69,7 +76,7 @@ def _run(name: str, body: Callable[[Config], None], needs_clock: bool, always_re
             rospy.loginfo("finished; roslaunch now reports this node in red as a required process that has died")
     except EmbodiedActiveLearningError as error:
         rospy.logfatal("%s", error)
-        if not always_required:
+        if reports_failure:
             report_failure(str(error))
         rospy.signal_shutdown(str(error))
         return ExitCode.KNOWN_ERROR

@@ -9,6 +9,7 @@ from typing import Optional
 import rospy
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.distributed.pool import WorkerStatus
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.model.learner import UpdateReport
 from embodied_active_learning.msg import TrainingStatus
@@ -93,6 +94,8 @@ class TrainerStatus:
             "batches skipped": run.skipped,
             "rollbacks": run.rollbacks,
         }
+        workers = [] if run.pool is None else run.pool.status()
+        values.update((f"worker {worker.slot}", describe(worker)) for worker in workers)
         if self.error is not None:
             return Health(ERROR, str(self.error), values)
         try:
@@ -103,6 +106,10 @@ class TrainerStatus:
             return Health(WARN, str(error), values)
         if run.rollbacks and not run.finished:
             message = f"training; rolled back {run.rollbacks} times because the model diverged"
+            return Health(WARN, message, values)
+        trainers = self._config.training.trainers
+        if len(workers) + 1 < trainers and not run.finished:
+            message = f"{self._activity()}; {len(workers) + 1} of {trainers} trainers: check the trainer_worker nodes"
             return Health(WARN, message, values)
         return Health(OK, self._activity(), values, idle=run.finished)
 
@@ -115,3 +122,11 @@ class TrainerStatus:
         if count < first:
             return f"waiting for observation {count + 1}; training starts with number {first}"
         return f"waiting for observation {count + 1}"
+
+
+def describe(worker: WorkerStatus) -> str:
+    """Return the state of a worker in one line."""
+    return (
+        f"{worker.rounds} rounds, {worker.updates} updates, {worker.updates_per_second:.1f}/s, lag {worker.lag:.1f} s, "
+        f"{worker.bytes / 1e6:.0f} MB, last seen {time.monotonic() - worker.seen:.1f} s ago"
+    )

@@ -1,0 +1,338 @@
+"""The owner's side: lets workers join, hands out rounds, and drops workers that fail."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from dataclasses import dataclass
+from typing import Callable, List, NamedTuple, Optional
+
+import torch
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.distributed.link import OWNER, SILENCE, Link, LinkError, connect_store, serve_store
+from embodied_active_learning.distributed.messages import (
+    CONFIG,
+    IDLE,
+    OBSERVATIONS,
+    ROUND,
+    TICKETS,
+    Header,
+    empty_answer,
+    ticket_name,
+)
+from embodied_active_learning.model.batches import Observations
+from embodied_active_learning.model.learner import Learner
+
+LOG = logging.getLogger(__name__)
+CHUNK = 64  # observations in one message while a worker joins
+_MAX_JOINING = 16  # workers that may join at once
+_POLL_PERIOD = 0.1  # s
+_IDLE_PERIOD = 1.0  # s, between two messages to a worker that has nothing to do
+
+
+@dataclass
+class WorkerStatus:
+    """One worker, for diagnostics."""
+
+    slot: int
+    rounds: int = 0
+    updates: int = 0
+    bytes: int = 0
+    updates_per_second: float = 0.0  # in the last round, transfers included
+    lag: float = 0.0  # s, by which its last result came after the owner's own
+    seen: float = 0.0  # time.monotonic() of its last answer
+
+
+@dataclass(frozen=True)
+class RoundReport:
+    """A round: number of updates after it, trainers that took part, updates made, duration and computing time [s]."""
+
+    update: int
+    trainers: int
+    updates: int
+    seconds: float
+    computing: float
+
+
+class Task(NamedTuple):
+    """A worker's part of a round."""
+
+    header: Header
+    observations: int  # that the worker must have
+    weights: torch.Tensor  # (P,)
+    moments: Optional[torch.Tensor]  # (2 P + 1,)
+
+
+class Result(NamedTuple):
+    """Updates made by a worker in a round, and its weights (P,)."""
+
+    updates: int
+    weights: torch.Tensor
+
+
+class Worker:
+    """A worker as the owner sees it. A thread of its own exchanges messages with it.
+
+    Attributes:
+        task: What it has to do, until the result is there.
+        result: Of its last task.
+        rollbacks: Of the owner when the worker got its moments.
+        dropped: Whether it takes no part any more.
+    """
+
+    def __init__(self, link: Link, slot: int, timeout: float) -> None:
+        self._link = link
+        self._timeout = timeout
+        self._observations = 0
+        self._weights = torch.zeros(0)
+        self.status = WorkerStatus(slot, seen=time.monotonic())
+        self.task: Optional[Task] = None
+        self.result: Optional[Result] = None
+        self.rollbacks: Optional[int] = None
+        self.dropped = False
+
+    def send_observations(self, store: Observations, limit: int) -> bool:
+        """Send at most CHUNK of the first `limit` observations that the worker lacks -> whether it still lacks some."""
+        first, last = self._observations, min(limit, self._observations + CHUNK)
+        if last > first:
+            states = torch.from_numpy(store.states[first:last])
+            images = torch.from_numpy(store.images[first:last])
+            header = Header(OBSERVATIONS, observations=last - first).tensor()
+            self._exchange(header, states, images)
+            self._observations = last
+        return last < limit
+
+    def ping(self) -> None:
+        """Exchange a message without content."""
+        self._exchange(Header(IDLE).tensor())
+
+    def make_updates(self, task: Task) -> Result:
+        """Let the worker make its updates. Raises LinkError also if the result is invalid."""
+        began = time.monotonic()
+        if len(self._weights) != len(task.weights):
+            self._weights = torch.zeros_like(task.weights)
+        moments = [] if task.moments is None else [task.moments]
+        made = self._exchange(task.header.tensor(), task.weights, *moments, result=[self._weights])
+        share = len(task.header.updates)
+        if not (0 <= made <= share and bool(self._weights.isfinite().all())):
+            raise LinkError(f"invalid result: {made:g} of {share} updates, or weights that are not finite")
+        status = self.status
+        status.rounds, status.updates = status.rounds + 1, status.updates + int(made)
+        status.updates_per_second = made / max(1e-6, time.monotonic() - began)
+        return Result(int(made), self._weights)
+
+    def _exchange(self, *message: torch.Tensor, result: Optional[List[torch.Tensor]] = None) -> float:
+        """Send a message, and return the number in the worker's answer."""
+        answer = empty_answer()
+        sent = self._link.send(*message)
+        # Waited for first: it fails at once if the worker has ended, which Gloo does not report for a pending send.
+        self._link.receive(answer, *(result or [])).wait(self._timeout)
+        sent.wait(self._timeout)
+        self.status.bytes, self.status.seen = self._link.bytes, time.monotonic()
+        return float(answer)
+
+
+class WorkerPool:
+    """The workers of a run. One thread calls make_round(); any may call status()."""
+
+    def __init__(self, config: Config, store: Observations, address: str) -> None:
+        """Listen for workers.
+
+        Args:
+            config: Of the run; workers get it from here.
+            store: Observations, which workers get copies of.
+            address: Of this computer; the only one that is listened on.
+
+        Raises:
+            LinkError: The address is not one of this computer's.
+        """
+        self._observations, self._host = store, address
+        self._timeout, self._expected = config.training.worker_timeout, config.training.trainers - 1
+        self._store, port = serve_store(address)
+        self._store.set(CONFIG, json.dumps(config.to_dict()))
+        self.address = f"{address}:{port}"
+        """Where workers join, as "host:port"."""
+        self._changed = threading.Condition()
+        self._workers: List[Worker] = []  # with a link
+        self._ready: List[Worker] = []  # for the next round
+        self._busy: List[Worker] = []  # of the current round
+        self._closed = False
+        self._gathered = False
+        self._joins = threading.Thread(target=self._let_join, name="trainers", daemon=True)
+        self._joins.start()
+
+    def make_round(
+        self, learner: Learner, end: int, stop: threading.Event, make_update: Callable[[int], None]
+    ) -> RoundReport:
+        """Make updates together with the workers, and average the weights.
+
+        Args:
+            learner: The owner's.
+            end: Number of updates to reach; fewer are made if a worker fails or stop is set.
+            stop: Ends the round.
+            make_update: Makes one of the owner's updates, given the number of trainers (see Learner.update).
+
+        Raises:
+            DivergenceError: The owner's model diverges.
+        """
+        self._gather(stop)
+        first, began = learner.updates, time.monotonic()
+        trainers = self._begin(learner, end)
+        try:
+            while learner.updates < end and not stop.is_set():
+                make_update(trainers)
+        finally:  # also after a divergence, so that the workers are ready for the next round
+            own, computing = len(range(first, learner.updates, trainers)), time.monotonic() - began
+            results = self._collect(stop)
+        if results:
+            learner.average(own, results)
+        learner.updates = first + own + sum(result.updates for result in results)
+        return RoundReport(
+            update=learner.updates,
+            trainers=1 + len(results),
+            updates=learner.updates - first,
+            seconds=time.monotonic() - began,
+            computing=computing,
+        )
+
+    def status(self) -> List[WorkerStatus]:
+        """Return the workers that take part, by slot."""
+        with self._changed:
+            return sorted((worker.status for worker in self._ready), key=lambda status: status.slot)
+
+    def close(self) -> None:
+        """Let no more workers join, and drop all."""
+        with self._changed:
+            self._closed = True
+            self._ready = []
+            self._changed.notify_all()
+        self._joins.join()
+
+    def _gather(self, stop: threading.Event) -> None:
+        """Before the first round, wait until all expected workers have joined, training/worker_timeout at most."""
+        if self._gathered:
+            return
+        ends_at = time.monotonic() + self._timeout
+        with self._changed:
+            while len(self._ready) < self._expected and time.monotonic() < ends_at and not stop.is_set():
+                self._changed.wait(_POLL_PERIOD)
+            found = len(self._ready)
+        self._gathered = True
+        log = LOG.info if found >= self._expected else LOG.warning
+        log("training with %d of %d trainers; others may join later", found + 1, self._expected + 1)
+
+    def _begin(self, learner: Learner, end: int) -> int:
+        """Begin a round that ends before update number `end` -> number of trainers, the owner included.
+
+        The owner makes the next update and each update whose number is larger by a multiple of that number of trainers.
+        """
+        with self._changed:
+            busy = sorted(self._ready, key=lambda worker: worker.status.slot)
+        trainers = 1 + len(busy)
+        learner.prepare(trainers)
+        weights = learner.weights() if busy else torch.zeros(0)
+        moments = learner.moments() if any(worker.rollbacks != learner.rollbacks for worker in busy) else None
+        for position, worker in enumerate(busy, start=1):
+            joins = worker.rollbacks != learner.rollbacks
+            start = learner.updates + position
+            header = Header(
+                ROUND,
+                start=start,
+                end=max(start, end),
+                step=trainers,
+                slot=worker.status.slot,
+                rollbacks=learner.rollbacks,
+                with_moments=int(joins),
+                beta=learner.schedule.beta,
+                gamma=learner.schedule.gamma,
+            )
+            worker.rollbacks, worker.result = learner.rollbacks, None
+            worker.task = Task(header, len(self._observations), weights, moments if joins else None)
+        with self._changed:
+            self._busy = busy
+            self._changed.notify_all()
+        return trainers
+
+    def _collect(self, stop: threading.Event) -> List[Result]:
+        """Return the results of a round's workers. Those without one are dropped after the timeout or at a stop."""
+        now = time.monotonic()
+        with self._changed:
+            while self._pending() and time.monotonic() < now + self._timeout and not stop.is_set():
+                self._changed.wait(_POLL_PERIOD)
+            for worker in self._pending():
+                self._drop(worker, f"no result {self._timeout:g} s after the trainer's own (training/worker_timeout)")
+            finished = [worker for worker in self._busy if worker.result is not None]
+            self._busy = []
+        for worker in finished:
+            worker.status.lag = max(0.0, worker.status.seen - now)
+        return [worker.result for worker in finished if worker.result is not None]
+
+    def _pending(self) -> List[Worker]:
+        return [worker for worker in self._busy if worker.result is None and not worker.dropped]
+
+    def _drop(self, worker: Worker, reason: str) -> None:
+        """Continue without a worker. Call it with the lock held."""
+        if not worker.dropped and not self._closed:
+            LOG.warning("trainer worker %d dropped: %s; training continues without it", worker.status.slot, reason)
+        worker.dropped = True
+        self._ready = [other for other in self._ready if other is not worker]
+        self._changed.notify_all()
+
+    def _let_join(self) -> None:
+        admitted = 0
+        while not self._closed:
+            asked = self._store.add(TICKETS, 0)
+            for ticket in range(max(admitted, asked - _MAX_JOINING) + 1, asked + 1):
+                threading.Thread(target=self._run_worker, args=(ticket,), daemon=True).start()
+            admitted = asked
+            time.sleep(_POLL_PERIOD)
+
+    def _run_worker(self, ticket: int) -> None:
+        """Form a group with a worker, and exchange messages with it until it is dropped."""
+        try:
+            # A connection of its own: others would wait while this one waits for the worker's address.
+            link = Link(connect_store(self.address), ticket_name(ticket), OWNER, self._host)
+        except LinkError as error:
+            LOG.warning("a trainer worker could not join: %s", error)
+            return
+        with self._changed:
+            taken = {worker.status.slot for worker in self._workers}
+            slot = next(slot for slot in range(1, len(taken) + 2) if slot not in taken)
+            worker = Worker(link, slot, SILENCE * self._timeout)
+            self._workers.append(worker)
+        try:
+            while worker.send_observations(self._observations, len(self._observations)) and not self._closed:
+                pass
+            LOG.info("trainer worker %d joined", slot)
+            with self._changed:
+                self._ready.append(worker)
+                self._changed.notify_all()
+            while self._step(worker):
+                pass
+        except LinkError as error:
+            with self._changed:
+                self._drop(worker, str(error))
+        with self._changed:
+            self._workers.remove(worker)
+        link.close()
+
+    def _step(self, worker: Worker) -> bool:
+        """Exchange one message -> False if the worker is dropped or the pool closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: worker.task or worker.dropped or self._closed, _IDLE_PERIOD)
+            if worker.dropped or self._closed:
+                return False
+            task = worker.task
+        if task is None:
+            worker.ping()
+            return True
+        while worker.send_observations(self._observations, task.observations):
+            pass
+        result = worker.make_updates(task)
+        with self._changed:
+            worker.task, worker.result = None, result
+            self._changed.notify_all()
+        return True
