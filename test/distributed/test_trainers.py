@@ -23,6 +23,7 @@ from tiny import STEPS, TINY
 from training_thread import TIMEOUT, training
 
 HOST = "127.0.0.1"
+START = 300.0  # s, for processes on a busy machine
 UPDATES = 3 * STEPS
 
 
@@ -92,7 +93,7 @@ def faulty_worker(run, spoil):
 
 
 def wait_for_worker(run):
-    ends_at = time.monotonic() + TIMEOUT
+    ends_at = time.monotonic() + START
     while not run.pool.status():
         assert time.monotonic() < ends_at
         time.sleep(0.01)
@@ -199,22 +200,22 @@ def test_run_resumes_with_another_number_of_trainers(tmp_path, trainers):
 
 
 def test_killed_and_frozen_workers_are_replaced(tmp_path):
-    run = TrainingRun(configured(tmp_path, worker_timeout=TIMEOUT))
+    run = TrainingRun(configured(tmp_path, worker_timeout=START))
     with LocalWorkers(2, run.pool.address) as local, training(run) as output:
         hand_over(run, range(12))
-        run.log_std(np.zeros((1, 3)), 12, TIMEOUT)
+        run.log_std(np.zeros((1, 3)), 12, START)
         killed, frozen = local.processes
         killed.kill()
         os.kill(frozen.pid, signal.SIGSTOP)
         run.pool._timeout = 0.2
         hand_over(run, range(12, 16))
-        run.log_std(np.zeros((1, 3)), 24, TIMEOUT)
+        run.log_std(np.zeros((1, 3)), 24, START)
         assert run.pool.status() == []
-        run.pool._timeout = TIMEOUT
+        run.pool._timeout = START
         os.kill(frozen.pid, signal.SIGCONT)
         wait_for_worker(run)
         hand_over(run, range(16, STEPS))
-        assert output.finished.wait(TIMEOUT)
+        assert output.finished.wait(START)
         assert not output.errors
     assert (run.observations, run.updates) == (STEPS, UPDATES)
     assert table(run, "rounds")["trainers"].tolist()[0] == 3
