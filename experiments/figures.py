@@ -9,7 +9,7 @@ Figures are written to docs/images/results/ as PNG and PDF; the tables replace t
 from __future__ import annotations
 
 from pathlib import Path
-from typing import List
+from typing import Dict, List
 
 from embodied_active_learning.evaluation.result_tables import (
     Rows,
@@ -119,12 +119,14 @@ def records_of(sweep: str) -> List[Record]:
 
 
 def missing(sweep: str, records: List[Record]) -> str:
-    """Return a sentence that states which runs of a sweep have not been made."""
-    names = {record.name for record in records}
-    planned = [run.name for run in load_sweep(EXPERIMENTS / f"{sweep}.yaml").runs]
-    absent = [name for name in planned if name not in names]
-    made = f"{len(planned) - len(absent)} of {len(planned)} runs are made."
-    return f"{made} Missing: {', '.join(absent)}." if absent else made
+    """Return a sentence that states which runs of a sweep have not been made, with the seeds of each variant."""
+    runs, made = load_sweep(EXPERIMENTS / f"{sweep}.yaml").runs, {record.name for record in records}
+    absent: Dict[str, List[str]] = {}
+    for name in (run.name for run in runs if run.name not in made):
+        stem, _, seed = name.rpartition("-seed")
+        absent.setdefault(stem, []).append(seed)
+    listed = "; ".join(f"{stem} {', '.join(seeds)}" for stem, seeds in absent.items())
+    return f"{len(made)} of {len(runs)} runs are made." + (f" Missing seeds: {listed}." if absent else "")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from embodied_active_learning.workspace import Workspace
 
 CONFIDENCE = 0.05
 """delta: the bound holds with probability 1 - delta."""
-_POWER_ITERATIONS = 15
+_POWER_ITERATIONS = 10
 _PART = 32
 Function = Callable[[torch.Tensor], torch.Tensor]
 
@@ -59,7 +59,7 @@ class BoundTerms:
 
 
 def bound_terms(
-    network: ConditionalVAE, workspace: Workspace, sample: Views, fresh: Views, seed: int, probes: int = 16
+    network: ConditionalVAE, workspace: Workspace, sample: Views, fresh: Views, seed: int, probes: int = 8
 ) -> BoundTerms:
     """Return the terms of the bound with lambda = n. Paper, Sec. 3, "CVAE PAC-Bayes Bounds".
 

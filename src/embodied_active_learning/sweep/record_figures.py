@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Dict, Sequence
 
@@ -32,7 +33,13 @@ def draw_record_metrics(path: Path, records: Sequence[Record]) -> Path:
             Observations(states, states, np.empty((0, 1, 1, 3), np.uint8), table["time"]), views[world]
         )
 
-    return draw_learning_metrics(path, records, images)
+    return draw_learning_metrics(path, [_with_pdf(record) for record in records], images)
+
+
+def _with_pdf(record: Record) -> Record:
+    """Return a record whose figures are also written as PDF."""
+    config = record.config
+    return replace(record, config=replace(config, session=replace(config.session, pdf_figures=True)))
 
 
 def render_top_view(record: Record) -> TopView:
