@@ -38,6 +38,7 @@ def test_table_has_totals_beside_those_of_the_paper():
     rows = [
         {"environment": "stars_ducks", "kind": "duck", "hits": "3", "tests": "4"},
         {"environment": "stars_ducks", "kind": "star", "hits": "1", "tests": "1"},
+        {"environment": "stars_ducks", "kind": "blank", "hits": "1", "tests": "1"},
         {"environment": "bottom", "kind": "duck", "hits": "1", "tests": "1"},
     ]
     assert table_lines(rows) == [

@@ -91,7 +91,11 @@ def successes(
 
 
 def table_lines(rows: Sequence[Mapping[str, str]]) -> List[List[str]]:
-    """Return the cells of Table 1: a line for each environment, columns for kinds, and totals, as "hits/tests"."""
+    """Return the cells of Table 1: a line for each environment, columns for kinds, and totals, as "hits/tests".
+
+    Blanks count in a model's own environment only, as in the paper.
+    """
+    rows = [row for row in rows if row["kind"] != BLANK or row["environment"] not in PAPER]
     kinds = sorted({row["kind"] for row in rows})
     lines = []
     for environment in [*dict.fromkeys(row["environment"] for row in rows), "total"]:
