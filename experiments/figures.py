@@ -8,6 +8,7 @@ Figures are written to docs/images/results/ as PNG and PDF; the tables replace t
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Dict, List
 
@@ -36,6 +37,7 @@ MEASURES = ("ergodic_measure", "coverage", "active_units", "mse_own", "mse_shuff
 
 def main() -> None:
     """Draw everything of which there are results."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     for draw in (coverage, ergodicity, table1, pac_bayes):
         if (RESULTS / draw.__name__).is_dir():
             draw()
