@@ -18,7 +18,6 @@ from embodied_active_learning.evaluation.coverage import METHODS, PLANS_WHOLE
 from embodied_active_learning.evaluation.spectral import DENSITIES, SpectralMetric, kl_measure
 from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
-LENGTHS = (100, 300, 1000)
 RESULTS = Path(__file__).resolve().parent / "results" / "coverage" / "coverage.csv"
 
 
@@ -26,6 +25,7 @@ def main() -> None:
     """Make the missing rows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--lengths", type=int, nargs="+", default=[100, 300, 1000], help="steps, in ascending order")
     parser.add_argument("--output", type=Path, default=RESULTS)
     options = parser.parse_args()
     made = {(row["density"], row["method"], row["seed"]) for row in read_rows(options.output, missing_ok=True)}
@@ -33,14 +33,13 @@ def main() -> None:
         for density in DENSITIES:
             for method in METHODS:
                 if (density, method, str(seed)) not in made:
-                    append_rows(options.output, list(rows(density, method, seed)))
+                    append_rows(options.output, list(rows(density, method, seed, options.lengths)))
                     print(f"{density}, {method}, seed {seed}", flush=True)
 
 
-def rows(density: str, method: str, seed: int) -> Iterator[Dict[str, object]]:
+def rows(density: str, method: str, seed: int, lengths: List[int]) -> Iterator[Dict[str, object]]:
     """Yield a row for each length of a trajectory."""
     metric = SpectralMetric.of(DENSITIES[density])
-    lengths: List[int] = list(LENGTHS)
     for length in lengths if method in PLANS_WHOLE else lengths[-1:]:
         start = time.process_time()
         positions = METHODS[method](DENSITIES[density], length, seed)

@@ -90,13 +90,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--output", type=Path, default=RESULTS)
     options = parser.parse_args()
-    measurement = Measurement(options.session)
     made = {(row["session"], row["explorer"], row["seed"]) for row in read_rows(options.output, missing_ok=True)}
-    for seed in range(options.seeds):
-        for explorer in EXPLORERS:
-            if (measurement.name, explorer, str(seed)) not in made:
-                append_rows(options.output, list(measurement.rows(explorer, seed, options.steps)))
-                print(f"{explorer}, seed {seed}", flush=True)
+    wanted = [(explorer, seed) for seed in range(options.seeds) for explorer in EXPLORERS]
+    left = [(explorer, seed) for explorer, seed in wanted if (options.session.name, explorer, str(seed)) not in made]
+    if left:
+        measurement = Measurement(options.session)
+        for explorer, seed in left:
+            append_rows(options.output, list(measurement.rows(explorer, seed, options.steps)))
+            print(f"{explorer}, seed {seed}", flush=True)
 
 
 if __name__ == "__main__":
