@@ -6,7 +6,7 @@ import json
 import logging
 import sys
 import threading
-from typing import Callable, Optional
+from typing import Any, Callable, Optional
 
 import numpy as np
 import torch
@@ -76,17 +76,16 @@ class TrainerWorker:
             ConfigError: The owner's configuration is not one of this version, or the device is not usable.
         """
         store = connect_store(owner)
-        try:
-            config = Config.from_dict(json.loads(store.get(CONFIG)), f"configuration of the trainer at {owner}")
-            ticket = store.add(TICKETS, 1)
-        except RuntimeError as error:
-            raise LinkError(f"the trainer at {owner} does not respond: {error}") from error
-        self._link = Link(store, ticket_name(ticket), WORKER, address)
+        config = Config.from_dict(
+            json.loads(_ask(lambda: store.get(CONFIG))), f"configuration of the trainer at {owner}"
+        )
         set_threads(config)
         self._timeout = SILENCE * config.training.worker_timeout
         self._store = MemoryStore(config)
         self._learner = Learner(config, self._store, config.exploration.seed)
         torch.set_num_threads(self._learner.loss.torch_threads)
+        # Last, because the owner then waits for answers.
+        self._link = Link(store, ticket_name(_ask(lambda: store.add(TICKETS, 1))), WORKER, address)
         self._weights = self._learner.weights()
         self._header = Header.empty()
         self.rounds = 0
@@ -141,6 +140,14 @@ class TrainerWorker:
                 LOG.warning("%s; this worker's updates of the round are discarded", error)
                 return 0
         return len(header.updates)
+
+
+def _ask(request: Callable[[], Any]) -> Any:
+    """Return the answer of the store. Raises LinkError if there is none."""
+    try:
+        return request()
+    except RuntimeError as error:
+        raise LinkError(f"the trainer does not respond: {error}") from error
 
 
 def serve(
