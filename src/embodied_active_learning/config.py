@@ -180,7 +180,7 @@ class FingerprintConfig:
     min_share: float = setting(0.05, "smallest share of the samples in a cluster that is an object", "", 0.0, 1.0)
     merge_distance: float = setting(0.05, "distance below which two centres are merged", "m", 0.0, 0.5)
     min_contrast: float = setting(
-        2.0, "smallest ratio of largest to smallest predicted standard deviation with objects", "", 1.0, 100.0
+        1.2, "smallest ratio of largest to smallest predicted standard deviation with objects", "", 1.0, 100.0
     )
     views: int = setting(50, "views of each object", "", 2, 1000)
     view_std: float = setting(0.015, "standard deviation of the views around the centre, in x and y", "m", 1e-3, 0.5)

@@ -10,6 +10,7 @@ import pytest
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.objects import clustering
 from embodied_active_learning.objects.clustering import find_objects
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from painted_table import Thing, paint, random_states
@@ -270,3 +271,12 @@ def test_slightly_brighter_table_is_no_object():
     images[near < 0.06, :20] += 2
     found = find_objects(Entropy([TWO[0].pose]), states, images, CONFIG, 0)
     assert objects(found) == []
+
+
+def test_cluster_without_visible_thing_is_no_object(monkeypatch):
+    """Such as one of a table's texture."""
+    things = np.array([TWO[0].pose[:2], (0.60, -0.12)])
+    monkeypatch.setattr(clustering, "visible_things", lambda *arguments: things)
+    found = cluster_table(TWO)
+    assert_found(objects(found), TWO[:1])
+    np.testing.assert_array_equal(found.things, things)

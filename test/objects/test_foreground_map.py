@@ -5,6 +5,7 @@ import pytest
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.objects.foreground_map import visible_things
+from embodied_active_learning.objects.salience import Background
 from painted_table import Thing, paint, random_states
 
 CONFIG = Config.from_dict({"camera": {"width": 45, "height": 45}})
@@ -14,7 +15,8 @@ CONFIG = Config.from_dict({"camera": {"width": 45, "height": 45}})
 def test_things_are_found_at_their_places(places):
     things = [Thing(index, (*place, 0.5)) for index, place in enumerate(places)]
     states = random_states(CONFIG.workspace.box(), 120)
-    found = visible_things(states, paint(states, things, CONFIG.camera, noise=8.0), CONFIG)
+    images = paint(states, things, CONFIG.camera, noise=8.0)
+    found = visible_things(states, images, Background(images), CONFIG)
     assert len(found) == len(places)
     for place in places:
         assert np.hypot(*(found - place).T).min() < 0.01

@@ -19,6 +19,7 @@ from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
+from embodied_active_learning.objects.foreground_map import visible_things
 from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
@@ -70,12 +71,14 @@ class Clustering:
         flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
         clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
+        things: (N, 2) [m] centres of all visible things, whether or not the model has learned them.
     """
 
     contrast: float
     flat: bool
     clusters: Tuple[Cluster, ...]
     unreachable: Tuple[Cluster, ...]
+    things: np.ndarray
 
 
 def find_objects(
@@ -88,7 +91,8 @@ def find_objects(
     deviation and k is `fingerprint/exponent`. The paper clusters the camera states (`fingerprint/clustering: camera`).
     The default, `table`, clusters table points of foreground pixels instead, which assumes more than the paper does: a
     camera that looks straight down from a known height with a known field of view, and a table whose colours are
-    roughly Gaussian.
+    roughly Gaussian. Of these clusters only visible things are objects: a table's texture also has points that differ
+    from its colours, but no place where most do.
 
     Args:
         model: The model of the session.
@@ -109,16 +113,18 @@ def find_objects(
     std = np.exp(model.log_std(latents, proposals)).mean(axis=0)
     low, high = np.quantile(std, _CONTRAST_QUANTILES)
     contrast = float(high / low)
+    background = _background(model, latents, states, images)
+    things = visible_things(states, images, background, config)
     if contrast < settings.min_contrast:
-        return Clustering(contrast, True, (), ())
+        return Clustering(contrast, True, (), (), things)
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
         objects = _cluster(samples[:, :2], samples[:, 2], len(samples), settings, workspace)
     else:
-        background = _background(model, latents, states, images)
         points, yaws = _foreground_points(samples, states, images, background, config, random)
-        objects = _cluster(points, yaws, _PIXELS_PER_SAMPLE * len(samples), settings, workspace)
+        clusters = _cluster(points, yaws, _PIXELS_PER_SAMPLE * len(samples), settings, workspace)
+        objects = [cluster for cluster in clusters if _is_near(things, cluster.centre, settings.merge_distance)]
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
     blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(
@@ -126,6 +132,7 @@ def find_objects(
         False,
         (*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
         tuple(cluster for cluster, within in zip(objects, reachable) if not within),
+        things,
     )
 
 
@@ -198,6 +205,11 @@ def _cluster(
         if cluster.share >= settings.min_share and min(distances, default=math.inf) >= settings.merge_distance:
             kept.append(cluster)
     return kept
+
+
+def _is_near(things: np.ndarray, centre: np.ndarray, distance: float) -> bool:
+    """Return whether one of the things (N, 2) lies within a distance of a centre (3,); all in metres."""
+    return bool((np.hypot(*(things - centre[:2]).T) <= distance).any())
 
 
 def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:

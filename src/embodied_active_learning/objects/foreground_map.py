@@ -13,27 +13,29 @@ from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.salience import Background
 
 _CELL = 0.01  # m
+_MARGIN = 0.08
+"""How far the map extends beyond the workspace [m]: half of what the camera sees at its border."""
 _STRIDE = 4
 """Every how many rows and columns of an image are projected onto the table."""
-_IMAGES, _BACKGROUND_IMAGES = 100, 60
-"""Number of images, spread over the run, that are projected, and that the table's colour is fitted to."""
+_IMAGES = 100
+"""Number of images, spread over the run, that are projected."""
 _FOREGROUND = 0.5
 """Smallest mean salience of a thing. Textures of a table stay below it: they look alike everywhere."""
-_LEAST_CELLS = 4
+_LEAST_CELLS = 3
+_BLUR = 0.7  # cells
 
 
-def visible_things(states: np.ndarray, images: np.ndarray, config: Config) -> np.ndarray:
-    """Return the centres (K, 2) [m] of everything that differs from the table, within the workspace.
+def visible_things(states: np.ndarray, images: np.ndarray, background: Background, config: Config) -> np.ndarray:
+    """Return the centres (K, 2) [m] of everything that differs from the table, also at the border of the workspace.
 
-    Unlike the clusters of the conditional entropy, this depends on colours alone: it shows what the model should have
-    found, once it was seen.
+    Unlike the clusters of the conditional entropy, they depend on colours alone: they are what the model should find.
 
     Args:
         states: (N, 3) x [m], y [m], theta [rad].
         images: (N, H, W, 3) uint8.
+        background: Colours of the table.
         config: The run's configuration.
     """
-    background = Background(images[spread_indices(len(images), _BACKGROUND_IMAGES)])
     lower, salience = _mean_salience(states, images, background, config)
     regions, count = ndimage.label(salience > _FOREGROUND)
     sizes = np.bincount(regions.ravel(), minlength=count + 1)[1:]
@@ -45,10 +47,10 @@ def visible_things(states: np.ndarray, images: np.ndarray, config: Config) -> np
 def _mean_salience(
     states: np.ndarray, images: np.ndarray, background: Background, config: Config
 ) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the lower corner (2,) [m] of a grid over the workspace, and the mean salience (X, Y) of its cells."""
+    """Return the lower corner (2,) [m] of a grid over the table, and the mean salience (X, Y) of its cells."""
     workspace = config.workspace.box()
-    lower = np.array(workspace.lower[:2])
-    shape = np.ceil((np.array(workspace.upper[:2]) - lower) / _CELL).astype(int)
+    lower = np.array(workspace.lower[:2]) - _MARGIN
+    shape = np.ceil((np.array(workspace.upper[:2]) + _MARGIN - lower) / _CELL).astype(int)
     total, seen = np.zeros(shape), np.zeros(shape)
     rows, columns = np.mgrid[0 : config.camera.height : _STRIDE, 0 : config.camera.width : _STRIDE]
     for index in spread_indices(len(images), _IMAGES):
@@ -59,5 +61,5 @@ def _mean_salience(
         salience = background.salience(images[index][::_STRIDE, ::_STRIDE])[inside]
         total += np.bincount(flat, salience, total.size).reshape(shape)
         seen += np.bincount(flat, minlength=seen.size).reshape(shape)
-    smooth_total, smooth_seen = (ndimage.gaussian_filter(part, 1.0) for part in (total, seen))
+    smooth_total, smooth_seen = (ndimage.gaussian_filter(part, _BLUR) for part in (total, seen))
     return lower, smooth_total / np.maximum(smooth_seen, 1e-9)

@@ -15,7 +15,6 @@ from embodied_active_learning.model.metrics import Evaluation
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.model.verdict import ReconstructionErrors
 from embodied_active_learning.objects.clustering import find_objects
-from embodied_active_learning.objects.foreground_map import visible_things
 from embodied_active_learning.objects.stability import Measurement, StopCheck, StoppingCriterion, count_unexplained
 from embodied_active_learning.session.observations import Observations
 
@@ -100,8 +99,14 @@ def measure(
         update=evaluation.update,
         observations=count,
         centres=centres,
-        undiscovered=count_unexplained(visible_things(states, images, config), centres, settings.merge_distance),
+        undiscovered=count_unexplained(_within_workspace(found.things, config), centres, settings.merge_distance),
         contrast=found.contrast,
         latent_contribution=errors.latent_contribution,
         coverage=coverage,
     )
+
+
+def _within_workspace(points: np.ndarray, config: Config) -> np.ndarray:
+    """Return those of the points (K, 2) [m] over which the camera can be moved."""
+    lower, upper = config.workspace.box().lower[:2], config.workspace.box().upper[:2]
+    return points[np.all((points >= lower) & (points <= upper), axis=1)]
