@@ -12,7 +12,7 @@ from embodied_active_learning.sweep import compare
 from embodied_active_learning.sweep.compare import main
 from embodied_active_learning.sweep.comparison import bootstrap_mean, compare_columns, group_records, load_records
 from embodied_active_learning.sweep.csv_files import read_rows, write_rows
-from embodied_active_learning.sweep.record_figures import draw_record_metrics, render_top_view
+from embodied_active_learning.sweep.record_figures import render_top_view
 from embodied_active_learning.sweep.records import load_record, write_record
 from sample_records import make_record
 
@@ -91,10 +91,8 @@ def test_rows_are_written_and_read_again(tmp_path):
     assert read_rows(tmp_path / "new" / "rows.csv") == [{"name": "a,b", "value": "0.333333", "none": "", "nan": ""}]
 
 
-def test_metrics_of_records_are_drawn_over_the_rendered_world(tmp_path):
+def test_world_of_a_record_is_rendered():
     record = make_record("a", "ergodic", 1.0)
     view = render_top_view(record)
     assert view.pixels.std() > 10.0
     assert view.extent[0] < record.config.workspace.x[0] < record.config.workspace.x[1] < view.extent[1]
-    path = draw_record_metrics(tmp_path / "metrics.png", [record])
-    assert path.with_suffix(".pdf").is_file()

@@ -92,7 +92,10 @@ def load_sweep(path: Path) -> Sweep:
     duplicate = next((name for name in names if names.count(name) > 1), "")
     if duplicate:
         raise ConfigError(f"{path}: two runs are named {duplicate}: give each world and seed once")
-    for run in {run.variant: run for run in reversed(ordered)}.values():  # the first of each variant
+    firsts: Dict[str, SweepRun] = {}
+    for run in ordered:
+        firsts.setdefault(run.variant, run)
+    for run in firsts.values():
         try:
             run.config()
         except ConfigError as error:
