@@ -93,6 +93,18 @@ def test_all_limits_hold_for_any_command_and_tick_delay(place, legs, data):
             measured = arm.follow(stream, counted, held)
 
 
+def test_retreat_from_border_stays_in_workspace():
+    """The second period is longer than the one that braking was planned with."""
+    stream, measured = begun((0.5, UPPER[1], 0.0)), at((0.5, UPPER[1], 0.0))
+    for period in (0.0078125, 0.02, 0.0078125, 0.02):
+        stream.advance((0.0, -0.001, 0.0), measured, period)
+    for period in (0.02, 0.005):
+        stream.retreat(measured, period)
+    for period in (0.005, 0.005, 0.02):
+        stream.brake(measured, period)
+        assert planar(stream)[1] <= UPPER[1]
+
+
 @given(
     place=places,
     shoves=st.lists(st.tuples(*(st.floats(-0.3, 0.3),) * 3, st.floats(-0.2, 0.2)), min_size=1, max_size=20),

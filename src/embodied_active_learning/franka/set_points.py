@@ -46,6 +46,7 @@ class SetPointStream:
     def __init__(self, config: Config) -> None:
         franka = config.franka
         self._limits = MotionLimits.from_config(config, _MARGIN)
+        self._workspace = config.workspace.box()
         self._level_limits = level_limits()
         self._leads = (franka.max_lead, franka.max_lead, franka.max_turn_lead)
         self._level_leads = (franka.max_lead, franka.max_turn_lead, franka.max_turn_lead)
@@ -127,11 +128,22 @@ class SetPointStream:
         period = min(period, MAX_PERIOD)
         legal = self._limits.within(lower, upper).next_velocity(self._planar, self._velocity, wanted, period)
         self._velocity = legal.velocity
-        moved = [at + period * speed for at, speed in zip(self._planar, legal.velocity)]
+        moved = [
+            self._stay_inside(axis, at, at + period * speed)
+            for axis, (at, speed) in enumerate(zip(self._planar, legal.velocity))
+        ]
         self._planar = [min(max(at, low), high) for at, low, high in zip(moved, *self._box(measured))]
         pulled = self._planar != moved
         self._correct_level(measured, period, level)
         return Step(legal.cut or pulled, pulled)
+
+    def _stay_inside(self, axis: int, before: float, after: float) -> float:
+        """Return a new place of an axis, which does not leave the workspace.
+
+        Beyond the margin, a period that is longer than the planned ones would carry it some micrometres outside.
+        """
+        lower, upper = float(self._workspace.lower[axis]), float(self._workspace.upper[axis])
+        return min(max(after, lower), upper) if lower <= before <= upper else after
 
     def _correct_level(self, measured: CameraPose, period: float, correct: bool) -> None:
         at = (measured.height, *measured.tilt)
