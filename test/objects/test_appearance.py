@@ -87,7 +87,8 @@ def test_similarity_without_object_in_view_is_lowest(appearance, views):
 def test_search_finds_pose_without_model(appearance, views):
     mosaic = Mosaic(views, WORKSPACE, 0.02)
     assert mosaic.coverage > 0.95
-    found = [refine(appearance, views, starts, SETTINGS) for starts in propose(mosaic, appearance, 4).places]
+    places = propose(mosaic, appearance, 4).places
+    found = [refine(appearance, views, starts, SETTINGS, mosaic.above(starts[0, :2])) for starts in places]
     best = max(found, key=lambda item: item.similarity)
     distance, turn = pose_distance(best.pose, np.array(PLACE))
     assert distance < 0.005

@@ -384,7 +384,7 @@ def test_shipped_bag_matches_its_profile(tmp_path):
     recording = Recording(bags / "diagonal-small.bag")
     made = resolve(str(bags / "diagonal-small.yaml"), [f"session/root={tmp_path}"])
     recorded, expected = recording.settings(), read_settings(settings_text(made))
-    for section in ("franka", "identification"):  # not used by the recorded run
+    for section in ("franka", "fingerprint", "identification"):  # not used by the recorded run
         assert recorded.pop(section)
         assert expected.pop(section)
     assert recorded == expected

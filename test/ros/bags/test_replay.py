@@ -136,7 +136,7 @@ def test_fingerprints_are_found_in_a_bag(replayed, home):
         decisions = run.decide()
     finally:
         run.close()
-    assert run.processed == OBSERVATIONS
+    assert 0 < run.processed <= OBSERVATIONS  # fewer once all is decided
     found = [item for item in decisions if item.found and item.kind == "object"]
     assert len(found) >= 2
     assert max(nearest(item.pose, TRUTH) for item in found) < 0.03
