@@ -148,10 +148,7 @@ def test_trainer_saves_checkpoint_while_master_hangs(run):
     trainer = run.pid("trainer")
     with frozen(run.pid("rosmaster")):
         assert end(trainer, signal.SIGTERM) < 5.0
-        summary = read_summary(run.path / "summary.yaml")
-    assert not summary.finished
-    assert 0.0 < summary.wall_time < time.monotonic() - run.began_at
-    assert run.last_update == run.checkpoint.counters["updates"] > 0
+        assert run.last_update == run.checkpoint.counters["updates"] > 0
     run.wait_for_respawn("trainer", trainer)
     run.wait_for_progress()
 
@@ -185,6 +182,9 @@ def test_z_interrupted_run_leaves_checkpoint_and_no_processes(run):
         time.sleep(0.02)
     run.process.wait(30)
     assert "Traceback" not in run.output
+    summary = read_summary(run.path / "summary.yaml")
+    assert not summary.finished
+    assert 0.0 < summary.wall_time < time.monotonic() - run.began_at
     assert run.last_update == run.checkpoint.counters["updates"] > 0
     assert len(Session.open_read_only(run.path).open_observations()) >= run.steps > 80
     # The session is unlocked and can be resumed.
