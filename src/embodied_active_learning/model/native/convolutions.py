@@ -223,11 +223,19 @@ class NativeConvolutions:
         return products, tasks
 
     def _multiply(self, left: torch.Tensor, right: torch.Tensor, out: torch.Tensor) -> None:
-        """Multiply on the kernels, which are faster than torch on some processors; torch does narrow products."""
-        if out.shape[1] < self.kernels.panel_columns:
-            torch.mm(left, right, out=out)
-        else:
+        """Multiply on the kernels, which are faster than torch on some processors.
+
+        Narrow products are padded: torch's rounding depends on the thread that computes them, so that a run would not
+        be reproducible.
+        """
+        columns, panel = out.shape[1], self.kernels.panel_columns
+        if columns >= panel:
             self.kernels.matmul(left, right, out)
+            return
+        padded = nn.functional.pad(right, (0, panel - columns))
+        product = out.new_empty((len(out), panel))
+        self.kernels.matmul(left, padded, product)
+        out.copy_(product[:, :columns])
 
     def _groups(self, count: int) -> int:
         """Return the number of groups that hold `count` images."""
