@@ -13,6 +13,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.objective import target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
+from embodied_active_learning.images import spread_indices
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.registry import EXPLORERS
 from embodied_active_learning.simulation.scene import Scene
@@ -108,7 +109,7 @@ def two_sample_test(features: np.ndarray, reference: np.ndarray, seed: int) -> T
     that a small p-value of a path means "distinguishable from independent samples".
     """
     std = np.maximum(reference.std(axis=0), 1e-9)
-    first, second = (_spread(part / std, _TESTED) for part in (features, reference))
+    first, second = (part[spread_indices(len(part), _TESTED)] / std for part in (features, reference))
     pooled = np.concatenate([first, second])
     squares = np.sum((pooled[:, np.newaxis] - pooled) ** 2, axis=-1)
     width = np.median(squares[len(first) :, len(first) :][np.triu_indices(len(second), 1)])
@@ -123,10 +124,6 @@ def _mmd2(kernel: np.ndarray, order: np.ndarray, split: int) -> float:
     first, second = order[:split], order[split:]
     within = [(np.sum(kernel[np.ix_(p, p)]) - len(p)) / (len(p) * (len(p) - 1)) for p in (first, second)]
     return float(sum(within) - 2.0 * np.mean(kernel[np.ix_(first, second)]))
-
-
-def _spread(values: np.ndarray, most: int) -> np.ndarray:
-    return values[np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).astype(int))]
 
 
 def _parts(count: int) -> List[slice]:

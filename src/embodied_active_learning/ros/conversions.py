@@ -15,6 +15,7 @@ from visualization_msgs.msg import Marker
 
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.franka.mount import CameraMount, quaternion
+from embodied_active_learning.geometry import rotation_matrix
 from embodied_active_learning.images import decode_raw
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
@@ -107,6 +108,14 @@ def camera_message(stamp: rospy.Time, position: np.ndarray, rotation: np.ndarray
     header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
     transform = Transform(Vector3(*map(float, position)), Quaternion(*quaternion(rotation)))
     return TransformStamped(header, names.CAMERA_FRAME, transform)
+
+
+def pose_matrix(position: Union[Point, Vector3], orientation: Quaternion) -> np.ndarray:
+    """Return position [m] and orientation of a pose or transform as a matrix (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_matrix(orientation.x, orientation.y, orientation.z, orientation.w)
+    matrix[:3, 3] = position.x, position.y, position.z
+    return matrix
 
 
 def path_message(stamp: rospy.Time, states: np.ndarray, height: float) -> Path:

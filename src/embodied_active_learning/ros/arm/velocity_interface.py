@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from typing import Any, Callable, Optional
 
-import numpy as np
 import rospy
-from geometry_msgs.msg import Pose, PoseStamped, Twist, Vector3
+from geometry_msgs.msg import PoseStamped, Twist, Vector3
 
 from embodied_active_learning.errors import RobotError
 from embodied_active_learning.franka.velocity_tracking import Twist as EndEffectorTwist
-from embodied_active_learning.geometry import rotation_matrix
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.services import TRANSPORT_ERRORS
 from embodied_active_learning.srv import StartVelocityControl, UpdateVelocity, UpdateVelocityRequest
@@ -78,12 +76,3 @@ class VelocityInterface:
             raise RobotError(
                 f"no response from {rospy.resolve_name(names.VELOCITY_COMMAND)}: {error}; is the robot's node running?"
             ) from error
-
-
-def pose_matrix(pose: Pose) -> np.ndarray:
-    """Return a pose as a transform (4, 4) [m]."""
-    position, orientation = pose.position, pose.orientation
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation_matrix(orientation.x, orientation.y, orientation.z, orientation.w)
-    matrix[:3, 3] = position.x, position.y, position.z
-    return matrix

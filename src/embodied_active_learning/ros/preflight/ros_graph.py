@@ -13,9 +13,9 @@ import rosgraph
 import rospy
 import tf2_ros
 
-from embodied_active_learning.geometry import rotation_matrix
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.conversions import pose_matrix
 from embodied_active_learning.ros.preflight.network import Peer
 from embodied_active_learning.ros.preflight.topics import TopicStatistics
 from embodied_active_learning.ros.runtime.master import connection_error
@@ -125,11 +125,7 @@ class TfMonitor:
 
     def _pose(self, stamp: rospy.Time) -> np.ndarray:
         transform = self._buffer.lookup_transform(names.BASE_FRAME, names.CAMERA_FRAME, stamp).transform
-        position, rotation = transform.translation, transform.rotation
-        pose = np.eye(4)
-        pose[:3, :3] = rotation_matrix(rotation.x, rotation.y, rotation.z, rotation.w)
-        pose[:3, 3] = position.x, position.y, position.z
-        return pose
+        return pose_matrix(transform.translation, transform.rotation)
 
 
 def collect(monitors: Sequence[Union[TopicMonitor, TfMonitor]], seconds: float, stop_early: bool) -> None:
