@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -21,7 +23,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc"
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
     """The only folder in which the library is searched for; empty at first."""
-    monkeypatch.setattr(embodied_active_learning, "__path__", [str(tmp_path)])
+    monkeypatch.setattr(library, "_folders", lambda: [tmp_path])
     load_kernels.cache_clear()
     yield tmp_path
     load_kernels.cache_clear()
@@ -54,13 +56,22 @@ def test_library_is_found_next_to_the_package(folder, compiled, caplog):
     assert not caplog.records
 
 
-@needs_compiler
-def test_library_in_any_folder_of_the_package_is_found(folder, compiled, monkeypatch, tmp_path):
+def test_library_is_searched_in_every_folder_of_the_package(monkeypatch, tmp_path):
     """In the devel space, the library is in the build folder and the Python code in the sources."""
-    (tmp_path / "devel").mkdir()
-    shutil.copy(str(compiled), str(tmp_path / "devel"))
-    monkeypatch.setattr(embodied_active_learning, "__path__", [str(tmp_path / "src"), str(tmp_path / "devel")])
-    assert load_kernels().kernels is not None
+    folders = [tmp_path / "src", tmp_path / "devel"]
+    for folder in folders:
+        folder.mkdir()
+    monkeypatch.setattr(embodied_active_learning, "__path__", list(map(str, folders)))
+    assert library._folders()[:2] == folders
+
+
+def test_library_is_found_from_the_sources():
+    """A process that multiprocessing spawns has the sources in sys.path before the devel space."""
+    sources = Path(embodied_active_learning.__path__[-1]).parent
+    path = os.pathsep.join([str(sources), *sys.path])
+    command = f"from {library.__name__} import load_kernels; print(load_kernels().description)"
+    output = subprocess.check_output([sys.executable, "-c", command], env={**os.environ, "PYTHONPATH": path}, text=True)
+    assert output.strip() == load_kernels().description
 
 
 @needs_compiler

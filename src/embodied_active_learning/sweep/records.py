@@ -20,6 +20,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
+from embodied_active_learning.model.native.library import load_kernels
 from embodied_active_learning.objects.report import nearest
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.schema import build, to_plain
@@ -195,7 +196,8 @@ def describe_computer() -> str:
             processor = line.partition(":")[2].strip()
             break
     python, cores = platform.python_version(), os.cpu_count()
-    return f"{processor}, {cores} cores; Python {python}, torch {torch.__version__}, numpy {np.__version__}"
+    versions = f"Python {python}, torch {torch.__version__}, numpy {np.__version__}"
+    return f"{processor}, {cores} cores; {versions}; {load_kernels().description}"
 
 
 def _cluster(session: Session) -> Tuple[float, Tuple[FoundObject, ...]]:

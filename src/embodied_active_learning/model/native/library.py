@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import os
+import sys
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, Optional, Set
+from typing import List, NamedTuple, Optional, Set
 
 import embodied_active_learning
 from embodied_active_learning.model.native.bindings import Kernels
@@ -38,11 +40,21 @@ def load_kernels() -> LoadedKernels:
 
 def _find() -> Path:
     """Return the library's path: next to the package, in the sources, the devel space or the install space."""
-    folders = [Path(folder) for folder in embodied_active_learning.__path__]
-    for folder in folders:
+    for folder in _folders():
         if (folder / FILE_NAME).is_file():
             return folder / FILE_NAME
-    raise OSError(f"{FILE_NAME} not found in {', '.join(map(str, folders))}")
+    raise OSError(f"{FILE_NAME} not found in {', '.join(map(str, _folders()))}")
+
+
+def _folders() -> List[Path]:
+    """Return the folders that may contain the library.
+
+    Processes that multiprocessing spawns import the package from the sources, so that its __path__ lacks the devel
+    space; sys.path has it.
+    """
+    name = embodied_active_learning.__name__
+    candidates = [*embodied_active_learning.__path__, *(os.path.join(folder, name) for folder in sys.path)]
+    return [Path(folder) for folder in dict.fromkeys(candidates) if os.path.isdir(folder)]
 
 
 def _open(path: Path) -> Kernels:
