@@ -17,11 +17,11 @@ import yaml
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 
-LARGEST_YAML = 2**18
+MAX_YAML_SIZE = 2**18
 """Largest YAML file that is read [bytes]; it is parsed within seconds."""
 
 _DEEPEST = 32  # levels of nesting, to protect the interpreter's stack
-_LONGEST_NUMBER = 64  # characters; the conversion of long integers is slow
+_MAX_NUMBER_LENGTH = 64  # characters; the conversion of long integers is slow
 _SHOWN = 200  # characters of a value in a message
 _KINDS = (
     (stat.S_ISDIR, "it is a folder"),
@@ -69,7 +69,7 @@ class FileReader:
 
     error: Type[EmbodiedActiveLearningError]
     remedy: str
-    limit: int = LARGEST_YAML
+    limit: int = MAX_YAML_SIZE
     follow: bool = False
 
     def refuse(self, subject: Any, complaint: str) -> EmbodiedActiveLearningError:
@@ -213,7 +213,7 @@ class _PlainLoader(yaml.SafeLoader):
     @staticmethod
     def _check_number(node: yaml.ScalarNode) -> None:
         """Refuse numbers that YAML 1.1 interprets unexpectedly: 1:30 as 90, and 010 as 8."""
-        if len(node.value) > _LONGEST_NUMBER:
+        if len(node.value) > _MAX_NUMBER_LENGTH:
             raise _error(f"a number has {len(node.value)} digits", node.start_mark)
         digits = node.value.lstrip("+-")
         if ":" in digits:

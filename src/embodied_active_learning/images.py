@@ -14,11 +14,11 @@ import numpy as np
 
 from embodied_active_learning.errors import ObservationError
 
-LARGEST_SIDE = 8192
+MAX_SIDE = 8192
 """Largest accepted width and height of an image [px]."""
-LARGEST_AREA = 2**24
+MAX_PIXELS = 2**24
 """Largest accepted number of pixels."""
-LARGEST_DATA = 2**26
+MAX_DATA = 2**26
 """Largest accepted size of a compressed image [bytes]."""
 
 
@@ -101,8 +101,8 @@ def decode_compressed(data: bytes) -> np.ndarray:
     Raises:
         ObservationError: The format is not supported, or the image is too large, truncated or damaged.
     """
-    if len(data) > LARGEST_DATA:
-        raise ObservationError(f"compressed image has {len(data)} bytes: at most {LARGEST_DATA} are supported")
+    if len(data) > MAX_DATA:
+        raise ObservationError(f"compressed image has {len(data)} bytes: at most {MAX_DATA} are supported")
     try:
         height, width = encoded_size(data)
     except ValueError as error:
@@ -184,9 +184,9 @@ class Framing(NamedTuple):
 
 
 def _check_size(height: int, width: int) -> None:
-    if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE and height * width <= LARGEST_AREA):
+    if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE and height * width <= MAX_PIXELS):
         raise ObservationError(
-            f"image is {width} x {height} pixels: at most {LARGEST_SIDE} per side and {LARGEST_AREA} in total; "
+            f"image is {width} x {height} pixels: at most {MAX_SIDE} per side and {MAX_PIXELS} in total; "
             "set it in the camera's driver"
         )
 

@@ -17,7 +17,7 @@ from embodied_active_learning.workspace import STATE_NAMES
 _PLANNED_BRAKING = 0.9
 # Share of the top speed below which a changed velocity is not reported.
 _NOTICEABLE = 0.01
-_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-6, 1.0  # s
+_MIN_PERIOD, _MAX_PERIOD = 1e-6, 1.0  # s
 
 
 class LegalVelocity(NamedTuple):
@@ -196,5 +196,5 @@ def _check(pose: Sequence[float], previous: Sequence[float], wanted: Sequence[fl
             usable = False
         if not usable:
             raise CommandError(f"invalid {name} {values!r}: expected {axes} finite numbers")
-    if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
-        raise CommandError(f"invalid period {period} s: expected {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s")
+    if not _MIN_PERIOD <= period <= _MAX_PERIOD:
+        raise CommandError(f"invalid period {period} s: expected {_MIN_PERIOD:g} to {_MAX_PERIOD:g} s")

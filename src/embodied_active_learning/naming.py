@@ -7,10 +7,10 @@ from typing import Pattern
 
 from embodied_active_learning.errors import SessionError
 
-LONGEST_NAME = 64
+MAX_NAME_LENGTH = 64
 _LEGAL = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _RECORDED = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
-_LONGEST_QUOTE = 80
+_MAX_QUOTED = 80
 """Characters of an invalid name that an error message quotes."""
 
 
@@ -35,7 +35,7 @@ def check_recorded_name(name: str, subject: str) -> str:
 def _check(name: str, subject: str, legal: Pattern[str], signs: str) -> str:
     if not isinstance(name, str) or not legal.fullmatch(name):
         raise SessionError(
-            f"{subject} is {str(name)[:_LONGEST_QUOTE]!r}: give 1 to {LONGEST_NAME} of a-z, 0-9, {signs}, beginning "
+            f"{subject} is {str(name)[:_MAX_QUOTED]!r}: give 1 to {MAX_NAME_LENGTH} of a-z, 0-9, {signs}, beginning "
             "with a letter or a digit"
         )
     return name

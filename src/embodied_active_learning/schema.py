@@ -36,7 +36,7 @@ from typing import Any, Collection, Dict, Iterator, Mapping, Tuple, Type, TypeVa
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.files import FileReader, shown
 
-_LONGEST_KEY = 80  # characters of an unknown key in a message
+_MAX_KEY_LENGTH = 80  # characters of an unknown key in a message
 _EXPONENT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]{1,3}")  # PyYAML reads 1e-4 as text
 _NO_METADATA: Dict[str, Any] = {"low": -math.inf, "high": math.inf, "choices": (), "length": ()}
 _Class = TypeVar("_Class")
@@ -133,7 +133,7 @@ def legal_values(item: dataclasses.Field) -> str:
 
 def nearest(name: str, known: Collection[str], prefix: str = "") -> str:
     """Return "did you mean X?" for the most similar name, or the list of known names."""
-    similar = difflib.get_close_matches(name[:_LONGEST_KEY], list(known), n=1, cutoff=0.4)
+    similar = difflib.get_close_matches(name[:_MAX_KEY_LENGTH], list(known), n=1, cutoff=0.4)
     return f"did you mean {prefix}{similar[0]}?" if similar else f"known are {', '.join(known)}"
 
 
@@ -175,7 +175,7 @@ class _Builder:
             raise self._refuse(f"{name} is {shown(values)}: expected keys and values")
         for key in values:
             if key not in known:
-                text, prefix = str(key)[:_LONGEST_KEY], f"{place}/" if place else ""
+                text, prefix = str(key)[:_MAX_KEY_LENGTH], f"{place}/" if place else ""
                 kind = "section" if sections else "key"
                 raise self._refuse(f"unknown {kind} {prefix}{text}: {nearest(text, known, prefix)}")
 
@@ -256,7 +256,7 @@ def _is_finite(number: Union[int, float]) -> bool:
 
 
 def _join(place: str, key: Any) -> str:
-    return f"{place}/{str(key)[:_LONGEST_KEY]}" if place else str(key)[:_LONGEST_KEY]
+    return f"{place}/{str(key)[:_MAX_KEY_LENGTH]}" if place else str(key)[:_MAX_KEY_LENGTH]
 
 
 def _arguments(kind: Any) -> Tuple[Any, ...]:

@@ -25,7 +25,7 @@ MODE_NAMES = ("Other", "Idle", "Move", "Guiding", "Reflex", "User stopped", "Aut
 MAX_SPEED = 1.7  # m/s
 MAX_TURN_RATE = 2.5  # rad/s
 STOCK_FORCE_LIMITS = (20.0, 20.0, 20.0, 25.0, 25.0, 25.0)  # N, Nm
-_LONGEST_CATCH_UP = 10.0  # s of motion that are made up for after the process was suspended
+_MAX_CATCH_UP = 10.0  # s of motion that are made up for after the process was suspended
 
 
 class CommandError(Exception):
@@ -130,8 +130,8 @@ class FakeRobot:
         """Advance to the present time in steps of a millisecond."""
         with self.lock:
             now = self._clock()
-            if now - self._time > _LONGEST_CATCH_UP:
-                self._time = now - _LONGEST_CATCH_UP
+            if now - self._time > _MAX_CATCH_UP:
+                self._time = now - _MAX_CATCH_UP
             before = self.hand.position
             for _ in range(int((now - self._time) / STEP)):
                 self._step()

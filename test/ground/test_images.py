@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.images import (
     ENCODINGS,
-    LARGEST_DATA,
+    MAX_DATA,
     Framing,
     decode_compressed,
     decode_raw,
@@ -160,7 +160,7 @@ def bomb(size):
         (png(colours()).replace(b"IDAT", b"IDAT"[::-1]), "a checksum in it is wrong"),
         (bomb(60000), "image is 60000 x 60000 pixels"),
         (bomb(100), "its content cannot be decoded"),
-        (bytes(LARGEST_DATA + 1), "at most"),
+        (bytes(MAX_DATA + 1), "at most"),
     ],
     ids=lambda value: value[:12] if isinstance(value, str) else f"{len(value)} bytes",
 )

@@ -22,7 +22,7 @@ from embodied_active_learning.session.conclusion import conclude_launch, summari
 from embodied_active_learning.session.session import Session, check_session, list_sessions
 from embodied_active_learning.session.summary import Summary, read_summary, write_summary
 
-LARGEST_PROCESS = 2**22  # that Linux gives a number to
+MAX_PROCESS_ID = 2**22  # that Linux gives a number to
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 
 
@@ -164,7 +164,7 @@ def test_unusable_root_is_rejected(tmp_path):
 def test_half_created_session_is_taken_over(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / ".lock").write_text("process 1 on elsewhere")
-    leftover = tmp_path / "a" / f".config.yaml.{LARGEST_PROCESS + 1}.2.tmp"
+    leftover = tmp_path / "a" / f".config.yaml.{MAX_PROCESS_ID + 1}.2.tmp"
     beside = tmp_path / "a" / f".planner.safetensors.{os.getppid()}.2.tmp"
     for path in (leftover, beside):
         path.write_text("half")

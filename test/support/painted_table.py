@@ -81,7 +81,7 @@ class PaintedModel:
     SURE, FAIR, UNSURE = 0.01, 0.08, 0.3  # predicted standard deviations of table, thing, and anything unknown
     _IDENTITY, _PLACE, _TURN = 6.0, 0.012, 4.0  # latent distance between things; m and 1/rad per unit of a latent
     _KNOWN_RADIUS = 0.08  # m around a learned pose within which the decoder is certain
-    _LARGEST_SHIFT = (0.006, 0.006, 0.25)  # m, m, rad: from the learned pose in a reconstruction
+    _MAX_SHIFT = (0.006, 0.006, 0.25)  # m, m, rad: from the learned pose in a reconstruction
 
     def __init__(self, config: Config, weights: Dict[str, torch.Tensor]) -> None:
         self.camera, self.workspace = config.camera, config.workspace.box()
@@ -136,7 +136,7 @@ class PaintedModel:
         x, y, cosine, sine = latents[:, -4:].T
         turn = np.arctan2(sine, cosine + self._TURN)
         change = np.stack((self._PLACE * x, self._PLACE * y, turn), axis=1)
-        return thing.pose + np.clip(change, np.negative(self._LARGEST_SHIFT), self._LARGEST_SHIFT)
+        return thing.pose + np.clip(change, np.negative(self._MAX_SHIFT), self._MAX_SHIFT)
 
     def _features(self, codes, points):
         sides = [[codes == _code(colour) for colour in KINDS[thing.kind]] for thing in self.known]

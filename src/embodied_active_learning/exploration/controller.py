@@ -17,7 +17,7 @@ from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.rng import Stream, generator, generator_state, set_generator_state
 from embodied_active_learning.state_dict import StateDict, matching_arrays
 
-LONGEST_WINDOW = 5  # steps, as in the authors' search for the application time
+MAX_WINDOW = 5  # steps, as in the authors' search for the application time
 
 
 @dataclass(frozen=True)
@@ -165,11 +165,11 @@ class ErgodicController(Explorer):
 
 
 def update_windows(horizon: int) -> np.ndarray:
-    """Return every window of 1 to LONGEST_WINDOW steps, then the whole horizon, as (W, horizon) bool."""
+    """Return every window of 1 to MAX_WINDOW steps, then the whole horizon, as (W, horizon) bool."""
     windows = [
         [begin <= t < begin + length for t in range(horizon)]
         for begin in range(horizon)
-        for length in range(1, min(LONGEST_WINDOW, horizon - begin) + 1)
+        for length in range(1, min(MAX_WINDOW, horizon - begin) + 1)
     ]
     return np.array([*windows, [True] * horizon])
 

@@ -43,7 +43,7 @@ _LEFT, _TOP, _BOTTOM = 0.65, 1.1, 1.2  # borders of the figure; the colour bar i
 _BAR_WIDTH, _BAR_HEIGHT, _BAR_BOTTOM = 4.0, 0.12, 0.6
 _TITLE_WIDTH, _TITLE_LINES = 42, 3  # characters, lines
 _NOTE_WIDTH = 20  # characters
-_LEAST_RANGE = 0.05
+_MIN_RANGE = 0.05
 """Smallest range of the colour scale: small variations of flat beliefs do not look like peaks."""
 
 
@@ -186,7 +186,7 @@ def _prominence(panel: BeliefPanel) -> np.ndarray:
 
 def _colour_limits(panels: Sequence[BeliefPanel]) -> Tuple[float, float]:
     """Colour scale of all maps."""
-    return 0.0, max([_LEAST_RANGE, *(float(_prominence(panel).max()) for panel in panels)])
+    return 0.0, max([_MIN_RANGE, *(float(_prominence(panel).max()) for panel in panels)])
 
 
 def _extent(panel: BeliefPanel) -> Extent:

@@ -20,7 +20,7 @@ from embodied_active_learning.figures.style import (
     style_axes,
 )
 
-_MOST_COLUMNS = 4
+_MAX_COLUMNS = 4
 _WIDTH, _HEIGHT = 3.0, 2.1  # inches, of a panel
 _DECADES = 1.5
 """Decades of positive values from which on an axis is logarithmic."""
@@ -55,7 +55,7 @@ def draw_curves(path: Path, panels: Mapping[str, Sequence[Curve]], axis: Mapping
         axis: Label of the horizontal axis by the name of the quantity.
         title: Title of the figure.
     """
-    columns = min(_MOST_COLUMNS, max(1, len(panels)))
+    columns = min(_MAX_COLUMNS, max(1, len(panels)))
     rows = math.ceil(len(panels) / columns)
     figure = new_figure(_WIDTH * columns, _HEIGHT * rows + 0.4)
     names = list(dict.fromkeys(curve.label for curves in panels.values() for curve in curves))

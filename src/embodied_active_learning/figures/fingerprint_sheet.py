@@ -38,7 +38,7 @@ from embodied_active_learning.workspace import Workspace
 
 _ROWS, _COLUMNS = 3, 6  # of the grid of views
 _GAP = 0.06  # between views, in image heights
-_LEAST_SIDE = 0.02
+_MIN_SIDE = 0.02
 """Smallest side [m] of the enlarged part of the table."""
 
 # Layout in inches.
@@ -147,6 +147,6 @@ def _enlarged_extent(fingerprint: Fingerprint) -> Extent:
     """Square part of the table around all views."""
     places = np.vstack((fingerprint.states[:, :2], fingerprint.centre[:2]))
     low, high = places.min(axis=0), places.max(axis=0)
-    half = 0.6 * max(float((high - low).max()), _LEAST_SIDE)
+    half = 0.6 * max(float((high - low).max()), _MIN_SIDE)
     x, y = (low + high) / 2.0
     return (x - half, x + half, y - half, y + half)

@@ -17,7 +17,7 @@ from embodied_active_learning.objects.scene_views import SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.pipeline.identification import IdentificationRun
 
-MOST_TRACES = 12
+MAX_TRACES = 12
 """Largest number of traces that are drawn; each takes a second."""
 
 
@@ -34,13 +34,13 @@ def draw_identification(
     panels = [_panel(target, decisions) for target in run.identification.targets]
     paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth, pdf)]
     targets = [target for target in run.identification.targets if target.fingerprint.kind == OBJECT]
-    evidence = [_evidence(target, decisions) for target in targets[:MOST_TRACES]]
+    evidence = [_evidence(target, decisions) for target in targets[:MAX_TRACES]]
     if run.identification.by_views and evidence:
         views = SceneViews(run.states, run.pictures, run.config.camera)
         paths.append(draw_evidence(run.folder / "evidence.png", evidence, views, pdf))
     if run.unknown:
         paths.append(draw_unknown(run.folder / "unknown.png", run.unknown, pdf))
-    for target in run.identification.targets[:MOST_TRACES]:
+    for target in run.identification.targets[:MAX_TRACES]:
         own = decisions_about(decisions, target.session, target.fingerprint.name)
         path = run.folder / f"trace-{target.session}-{target.fingerprint.name}.png"
         measured = (target.trace, run.states, run.pictures)

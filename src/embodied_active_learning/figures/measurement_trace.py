@@ -46,7 +46,7 @@ from embodied_active_learning.objects.report import UNKNOWN, Truth
 NEAR_DECISION = 0.03
 """Distance [m] within which an image counts as taken near a decision."""
 
-_MOST_DECISIONS = 4
+_MAX_DECISIONS = 4
 _IMAGES_PER_DECISION = 5
 _VALUE_LIMITS = (0.2, 0.8)
 """Limits of the colour scale of measurements; few lie outside."""
@@ -98,7 +98,7 @@ def draw_trace(path: Path, trace: Trace, pdf: bool = False) -> Path:
 
 def trace_figure(trace: Trace) -> Figure:
     """Return the figure of draw_trace."""
-    explained = trace.decisions[:_MOST_DECISIONS]
+    explained = trace.decisions[:_MAX_DECISIONS]
     near = [_images_near(decision, trace.states) for decision in explained]
     shown = [indices[spread_indices(len(indices), _IMAGES_PER_DECISION)] for indices in near]
     figure = new_figure(_WIDTH, _PAIRS_TOP + _ROW * len(explained), constrained=False)

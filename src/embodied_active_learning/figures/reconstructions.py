@@ -15,7 +15,7 @@ from embodied_active_learning.session.observations import Observations
 
 _COLUMNS = 8
 _THUMBNAIL = (6, 6)  # px
-_LEAST_CONTRAST = 0.1
+_MIN_CONTRAST = 0.1
 """Share of the largest contrast that an image of an object needs; if objects are rare, half the images are too many."""
 _STATE_WEIGHTS = (1.0, 1.0, 0.3)
 """Weights of x, y and theta in the distance between images: a rotated camera shows the same object."""
@@ -58,7 +58,7 @@ def select_images(images: np.ndarray, states: np.ndarray, count: int) -> np.ndar
     contrast = _contrast(images)
     order = np.argsort(contrast)
     objects = order[len(order) // 2 :]
-    objects = objects[contrast[objects] >= _LEAST_CONTRAST * contrast.max()]
+    objects = objects[contrast[objects] >= _MIN_CONTRAST * contrast.max()]
     places = states[objects] * _STATE_WEIGHTS
     chosen = [len(objects) - 1]
     nearest = np.full(len(objects), np.inf)

@@ -16,9 +16,9 @@ from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.workspace import Workspace
 
-_LARGEST_SIDE = 700  # px
-_MOST_VIEWS = 400
-_LEAST_WEIGHT = 1e-6
+_MAX_SIDE = 700  # px
+_MAX_VIEWS = 400
+_MIN_WEIGHT = 1e-6
 """Total weight above which a pixel counts as seen."""
 
 
@@ -66,18 +66,18 @@ def compose_top_view(images: np.ndarray, states: np.ndarray, camera: CameraConfi
     pixel = metres_per_pixel(camera)
     border = pixel * max(camera.width, camera.height) / 2.0
     lower, upper = np.asarray(workspace.lower[:2]) - border, np.asarray(workspace.upper[:2]) + border
-    grid = max(pixel, float((upper - lower).max()) / _LARGEST_SIDE)
+    grid = max(pixel, float((upper - lower).max()) / _MAX_SIDE)
     columns, rows = (int(size) for size in np.ceil((upper - lower) / grid))
     corner = np.array([lower[0], upper[1]])
     total: np.ndarray = np.zeros((rows, columns, 4), np.float32)
     weights = _pixel_weights(camera)
-    for index in spread_indices(len(images), _MOST_VIEWS):
+    for index in spread_indices(len(images), _MAX_VIEWS):
         placement = _placement(states[index], camera, corner, grid)
         left, top, right, bottom = _footprint(placement, camera, columns, rows)
         placement[:, 2] -= (left, top)
         layered = np.dstack((images[index] * weights, weights))
         total[top:bottom, left:right] += cv2.warpAffine(layered, placement, (right - left, bottom - top))
-    seen = total[..., 3] > _LEAST_WEIGHT
+    seen = total[..., 3] > _MIN_WEIGHT
     pixels: np.ndarray = np.zeros((rows, columns, 3), np.uint8)
     pixels[seen] = np.clip(total[seen, :3] / total[seen, 3:] + 0.5, 0, 255).astype(np.uint8)
     x, y = float(corner[0]), float(corner[1])

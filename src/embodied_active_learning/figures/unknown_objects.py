@@ -9,13 +9,13 @@ from embodied_active_learning.figures.style import SMALL, default_style, new_fig
 from embodied_active_learning.objects.unknown import UnknownObject
 
 _SIDE = 1.8  # inches of a picture with its caption
-MOST_PICTURES = 12
+MAX_IMAGES = 12
 
 
 @default_style
 def draw_unknown(path: Path, unknown: Sequence[UnknownObject], pdf: bool = False) -> Path:
     """Draw the largest unknown objects from above, with place and area. Return the path."""
-    shown = unknown[:MOST_PICTURES]
+    shown = unknown[:MAX_IMAGES]
     figure = new_figure(_SIDE * max(len(shown), 1), _SIDE + 0.4)
     for axes, item in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown):
         axes.imshow(item.picture, origin="lower")

@@ -21,7 +21,7 @@ from embodied_active_learning.config import (
 )
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import parse_yaml, shown
-from embodied_active_learning.naming import LONGEST_NAME, check_name
+from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
 from embodied_active_learning.schema import settings
 from embodied_active_learning.session.session import Session, check_session, session_path, session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
@@ -168,7 +168,7 @@ def _session_name(config: Config) -> str:
     world = Path(config.simulation.world).stem if simulated else config.arm.robot
     exploration = config.exploration
     rest = f"-{exploration.explorer}-seed{exploration.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
-    stem = re.sub("[^a-z0-9]+", "-", world.lower()).strip("-")[: min(20, LONGEST_NAME - len(rest))] or "world"
+    stem = re.sub("[^a-z0-9]+", "-", world.lower()).strip("-")[: min(20, MAX_NAME_LENGTH - len(rest))] or "world"
     return check_name(f"{stem}{rest}")
 
 

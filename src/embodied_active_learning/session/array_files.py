@@ -18,7 +18,7 @@ from embodied_active_learning.session.atomic import write_bytes
 VERSION = "1"
 READER = FileReader(CorruptFileError, "restore the file, or train again", limit=2**32)
 _HEADER = "header"  # a single key of metadata: safetensors writes several in random order
-_LARGEST_HEADER = 2**22  # bytes
+_MAX_HEADER_SIZE = 2**22  # bytes
 _LENGTH_BYTES = 8
 _TYPES = tuple(map(np.dtype, (np.float32, np.float64, np.uint8, np.int32, np.int64, np.uint64, np.bool_)))
 Arrays = Dict[str, np.ndarray]
@@ -97,7 +97,7 @@ def _check_header_size(path: Path, reader: FileReader) -> None:
     size = reader.check(path)
     with open_plain(path, follow=reader.follow) as stream:
         length = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
-    if not 0 < length <= min(_LARGEST_HEADER, size - _LENGTH_BYTES):
+    if not 0 < length <= min(_MAX_HEADER_SIZE, size - _LENGTH_BYTES):
         raise reader.refuse(path, f"is not a complete safetensors file (header of {length} bytes in a file of {size})")
 
 

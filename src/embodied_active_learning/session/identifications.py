@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.files import LARGEST_YAML, FileReader
+from embodied_active_learning.files import MAX_YAML_SIZE, FileReader
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, OUTCOMES, Decision
 from embodied_active_learning.objects.identification import Identification
@@ -104,7 +104,7 @@ def save_identification(
     facts = {"images": identification.images, "session": session_path.name}
     rows = [_plain(decision) for decision in decisions]
     text = checksummed_text({"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows})
-    if len(text) > LARGEST_YAML:
+    if len(text) > MAX_YAML_SIZE:
         raise SessionError(f"{len(rows)} decisions are too many for {folder}: search for fewer fingerprints")
     make_folder(folder)
     remove_leftovers(folder)

@@ -15,7 +15,7 @@ from embodied_active_learning.files import open_plain
 
 _ATTEMPTS = 3
 _PAUSE = 0.1  # s between attempts
-_LONGEST_NAME = 200  # bytes of a lock file in a message
+_MAX_NAME_LENGTH = 200  # bytes of a lock file in a message
 
 
 def claim(stream: BinaryIO, path: Path) -> None:
@@ -66,7 +66,7 @@ def in_use(folder: Path, who: str) -> str:
 
 def _name_in(stream: BinaryIO) -> str:
     # The holder may not have written its name yet.
-    return os.pread(stream.fileno(), _LONGEST_NAME, 0).decode("utf-8", "replace").strip() or "another process"
+    return os.pread(stream.fileno(), _MAX_NAME_LENGTH, 0).decode("utf-8", "replace").strip() or "another process"
 
 
 def _lock_with_retries(stream: BinaryIO) -> bool:

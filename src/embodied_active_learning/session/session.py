@@ -31,8 +31,8 @@ from embodied_active_learning.session.paths import (
 from embodied_active_learning.session.summary import reopen_summary
 from embodied_active_learning.session.tables import COLUMNS, Table, read_table
 
-_LARGEST_HINT = 4096
-_MOST_LISTED = 20  # sessions in a message
+_MAX_CAPACITY_HINT = 4096
+_MAX_LISTED = 20  # sessions in a message
 
 
 class Session:
@@ -95,7 +95,7 @@ class Session:
         shape = (camera.height, camera.width, 3)
         if not self.writable:
             return ObservationStore.open_read_only(self.paths.observations, workspace, shape)
-        capacity = min(self.config.exploration.steps, _LARGEST_HINT)
+        capacity = min(self.config.exploration.steps, _MAX_CAPACITY_HINT)
         return ObservationStore.open_for_writing(self.paths.observations, workspace, shape, capacity)
 
     def open_table(self, name: str) -> Table:
@@ -149,7 +149,7 @@ def find_session(root: Path, name: str, subject: str = "session") -> Path:
     path = root / check_name(name, subject)
     stays_inside(root, path)
     if not path.is_dir():
-        known = ", ".join(found.name for found in list_sessions(root)[:_MOST_LISTED]) or "none"
+        known = ", ".join(found.name for found in list_sessions(root)[:_MAX_LISTED]) or "none"
         raise SessionError(f"{subject} is {name!r}, but there is no such session in {root}: known are {known}")
     return path
 
@@ -182,7 +182,7 @@ def _check_folder(path: Path, config: Config) -> None:
     if not _is_new(path):
         _check_existing(path, config)
     elif config.session.resume:
-        known = ", ".join(found.name for found in list_sessions(path.parent)[:_MOST_LISTED]) or "none"
+        known = ", ".join(found.name for found in list_sessions(path.parent)[:_MAX_LISTED]) or "none"
         raise SessionError(f"no session {path} to resume: known are {known}")
 
 

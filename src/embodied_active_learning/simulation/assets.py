@@ -12,7 +12,7 @@ from embodied_active_learning.errors import WorldError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.images import encoded_size
 
-LARGEST_PICTURE = 2**24
+MAX_PIXELS = 2**24
 """Maximum number of pixels of a texture."""
 _LFS_POINTER = b"version https://git-lfs"
 
@@ -61,6 +61,6 @@ def _read_header(path: Path) -> Tuple[bytes, Tuple[int, int]]:
         height, width = encoded_size(content)
     except ValueError as error:
         raise WorldError(f"texture {path} {error}; convert it to PNG") from None
-    if not 0 < height * width <= LARGEST_PICTURE:
-        raise WorldError(f"texture {path} has {width} x {height} pixels: reduce it to at most {LARGEST_PICTURE}")
+    if not 0 < height * width <= MAX_PIXELS:
+        raise WorldError(f"texture {path} has {width} x {height} pixels: reduce it to at most {MAX_PIXELS}")
     return content, (height, width)

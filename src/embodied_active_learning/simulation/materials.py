@@ -17,7 +17,7 @@ from embodied_active_learning.simulation.obj_mesh import Mesh, argument
 
 Colour = Tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
-_LARGEST_FILE = 2**20
+_MAX_FILE_SIZE = 2**20
 # Number of arguments of the options that may precede the file name of map_Kd.
 _OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-bm": 1, "-clamp": 1, "-texres": 1, "-imfchan": 1, "-mm": 2}
 _TRANSFORMS = ("-o", "-s", "-t")  # move, scale and distort the texture: up to three numbers
@@ -80,7 +80,7 @@ def _read_libraries(mesh: Mesh) -> Dict[str, _Material]:
         )
     for library in mesh.libraries:
         for path in _library_paths(library, mesh.path):
-            content = read_asset(path, f"the material file of {mesh.path.name}", _LARGEST_FILE)
+            content = read_asset(path, f"the material file of {mesh.path.name}", _MAX_FILE_SIZE)
             _parse(content.decode("utf-8", "replace"), path, materials)
     return materials
 

@@ -12,8 +12,8 @@ from embodied_active_learning.errors import WorldError
 from embodied_active_learning.files import shown
 from embodied_active_learning.simulation.assets import read_asset
 
-_LARGEST_FILE = 2**27
-_LARGEST_COORDINATE = 1e30  # the renderer has single precision
+_MAX_FILE_SIZE = 2**27
+_MAX_COORDINATE = 1e30  # the renderer has single precision
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def read_mesh(path: Path) -> Mesh:
     """Read an OBJ file. Raises WorldError if it is unreadable, malformed, or has no faces."""
     if path.suffix.lower() != ".obj":
         raise WorldError(f"mesh {path} is not an OBJ file: convert it to OBJ")
-    content = read_asset(path, "an OBJ mesh", _LARGEST_FILE).decode("utf-8", "replace")
+    content = read_asset(path, "an OBJ mesh", _MAX_FILE_SIZE).decode("utf-8", "replace")
     parser = _Parser()
     for number, line in enumerate(content.replace("\\\r\n", " ").replace("\\\n", " ").splitlines(), 1):
         try:
@@ -206,7 +206,7 @@ def _numbers(lines: Sequence[str], name: str, path: Path) -> np.ndarray:
         values: np.ndarray = np.array(text.split(), dtype=np.float64)
     except ValueError as error:
         raise WorldError(f"mesh {path} is malformed: a {name} is invalid: {error}; export it again") from None
-    if not np.all(np.abs(values) < _LARGEST_COORDINATE):  # also false for NaN
+    if not np.all(np.abs(values) < _MAX_COORDINATE):  # also false for NaN
         raise WorldError(f"mesh {path} is malformed: a {name} is not finite; export it again")
     return values
 

@@ -19,7 +19,7 @@ from embodied_active_learning.simulation.materials import Appearance, mesh_appea
 from embodied_active_learning.simulation.obj_mesh import Mesh, read_mesh
 from embodied_active_learning.simulation.resources import locate
 
-_LARGEST_FILE = 2**20
+_MAX_FILE_SIZE = 2**20
 Vector = Tuple[float, ...]
 
 _log = logging.getLogger(__name__)
@@ -101,7 +101,7 @@ def read_model(urdf: Path) -> ObjectModel:
 
 
 def _parse(urdf: Path) -> ET.Element:
-    content = read_asset(urdf, "the URDF of an object", _LARGEST_FILE)
+    content = read_asset(urdf, "the URDF of an object", _MAX_FILE_SIZE)
     if b"\0" in content or b"<!DOCTYPE" in content.upper():
         raise WorldError(f"URDF {urdf} is not UTF-8 XML without a DOCTYPE: save it so")  # no entity expansion
     try:

@@ -19,9 +19,9 @@ from embodied_active_learning.workspace import Workspace
 CLEARANCE = 0.05
 """Required distance (m) between the top of an object and the camera."""
 _SMALLEST, _LARGEST = 0.005, 0.5  # m, of an object's largest side
-_LEAST_VISIBLE = 1e-6  # m^2
-_LEAST_DISTANCE = 0.01  # m, between two centres
-_LARGEST_OVERLAP = 0.5  # of the smaller footprint
+_MIN_VISIBLE_AREA = 1e-6  # m^2
+_MIN_DISTANCE = 0.01  # m, between two centres
+_MAX_OVERLAP = 0.5  # of the smaller footprint
 
 _log = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ def check_objects(objects: Sequence[PlacedObject], table: Table) -> None:
     """Check size, visibility and place of all objects. Raises WorldError with the remedy; logs a slight overlap."""
     for item in objects:
         _check_size(item)
-        if item.scale**2 * item.model.visible_area < _LEAST_VISIBLE:
+        if item.scale**2 * item.model.visible_area < _MIN_VISIBLE_AREA:
             raise WorldError(
                 f"objects/{item.name} cannot be seen from above: no face of {item.model.mesh} points up; flip its "
                 "faces (normals), or rotate the model in its URDF"
@@ -96,7 +96,7 @@ def _check_overlap(first: PlacedObject, second: PlacedObject) -> None:
     message = (
         f"objects/{first.name} and objects/{second.name} overlap, their centres are {1000 * distance:.0f} mm apart"
     )
-    if distance < _LEAST_DISTANCE or shared > _LARGEST_OVERLAP * smaller:
+    if distance < _MIN_DISTANCE or shared > _MAX_OVERLAP * smaller:
         raise WorldError(f"{message}: move one of them, or remove it")
     if shared > 0.0:
         _log.warning("%s: move them apart unless that is intended", message)

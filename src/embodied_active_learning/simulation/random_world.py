@@ -29,7 +29,7 @@ RANDOM_URDFS = 1000
 """Number of procedural objects in pybullet_data, random_urdfs/000 to /999."""
 _EDGE = 0.03  # m, least distance of an object's centre from the edge of the workspace
 _SIZES = (0.06, 0.09)  # m, largest side of a procedural object
-_LEAST_WIDTH = 0.5  # least width and depth of a procedural object, relative to its largest side
+_MIN_WIDTH = 0.5  # least width and depth of a procedural object, relative to its largest side
 _MAX_ATTEMPTS = 60  # of placing all objects
 
 
@@ -116,7 +116,7 @@ def is_wide(name: str) -> bool:
         extent = read_model(locate(name, Path())).extent
     except WorldError:  # one of them has no finite coordinates
         return False
-    return bool(extent[:2].min() >= _LEAST_WIDTH * extent.max())
+    return bool(extent[:2].min() >= _MIN_WIDTH * extent.max())
 
 
 def _positions(

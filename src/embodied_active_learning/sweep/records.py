@@ -37,7 +37,7 @@ FORMAT = "embodied_active_learning/record"
 RECORD_FILE = "record.yaml"
 _READER = FileReader(CorruptFileError, "delete the folder, and make the run again")
 _ROWS = {"exploration": 300}
-_MOST_ROWS = 200
+_MAX_ROWS = 200
 """Rows of each other table that are kept, evenly spread."""
 _DIGITS = 6
 
@@ -135,7 +135,7 @@ def write_record(folder: Path, record: Record) -> None:
     """Write a record with thinned-out tables; record.yaml comes last, so that its existence means completeness."""
     make_folder(folder)
     for name, columns in record.tables.items():
-        write_bytes(folder / f"{name}.csv", _thin_csv(columns, _ROWS.get(name, _MOST_ROWS)))
+        write_bytes(folder / f"{name}.csv", _thin_csv(columns, _ROWS.get(name, _MAX_ROWS)))
     content = _RecordFile(
         format=FORMAT,
         version=CONFIG_VERSION,

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from embodied_active_learning.errors import BagError
-from embodied_active_learning.ros.bags.reader import LARGEST_CHUNK, LARGEST_MESSAGE, BagFile, Connection
+from embodied_active_learning.ros.bags.reader import MAX_CHUNK_SIZE, MAX_MESSAGE_SIZE, BagFile, Connection
 
 WORDS = [f"number {number}" for number in range(200)]
 PICTURE = np.random.default_rng(0).integers(0, 40, 3000, dtype=np.uint8).tobytes()
@@ -234,17 +234,17 @@ def test_large_chunk_is_streamed(tmp_path, compression):
 
 def test_chunk_above_limit_is_reported_as_limit(tmp_path):
     path = tmp_path / "a.bag"
-    path.write_bytes(chunk(b"", LARGEST_CHUNK + 1))
+    path.write_bytes(chunk(b"", MAX_CHUNK_SIZE + 1))
     message = rejection(path)
-    assert f"this reader accepts up to {LARGEST_CHUNK}: rewrite the bag with smaller chunks" in message
+    assert f"this reader accepts up to {MAX_CHUNK_SIZE}: rewrite the bag with smaller chunks" in message
     assert "damaged" not in message
 
 
 def test_message_above_limit_is_reported_as_limit(tmp_path):
     path = tmp_path / "a.bag"
-    message = record({"op": b"\x02", "conn": bytes(4), "time": bytes(8)}, bytes(LARGEST_MESSAGE + 1))
+    message = record({"op": b"\x02", "conn": bytes(4), "time": bytes(8)}, bytes(MAX_MESSAGE_SIZE + 1))
     path.write_bytes(HEAD + CONNECTION + message)
-    assert f"this reader accepts up to {LARGEST_MESSAGE}" in rejection(path)
+    assert f"this reader accepts up to {MAX_MESSAGE_SIZE}" in rejection(path)
 
 
 def test_message_definitions_are_never_executed(tmp_path):

@@ -10,7 +10,7 @@ import roslz4
 from embodied_active_learning.files import shown
 
 _PIECE = 2**16  # compressed bytes per step
-_LARGEST_STEP = 2**20  # uncompressed bytes per step of bz2
+_MAX_STEP = 2**20  # uncompressed bytes per step of bz2
 
 
 class ReadStream(Protocol):
@@ -93,7 +93,7 @@ def _bz2_pieces(compressed: Iterator[bytes]) -> Iterator[bytes]:
         if piece is None:
             return
         try:
-            yield decompressor.decompress(piece, max_length=_LARGEST_STEP)
+            yield decompressor.decompress(piece, max_length=_MAX_STEP)
         except OSError as error:
             raise ValueError(f"cannot decompress a chunk: {error}") from error
 

@@ -18,12 +18,12 @@ from embodied_active_learning.errors import BagError
 from embodied_active_learning.files import open_plain, shown
 from embodied_active_learning.ros.bags.chunk import ReadStream, decompress
 
-LARGEST_MESSAGE = 2**26
+MAX_MESSAGE_SIZE = 2**26
 """Maximum size of a message that is read, in bytes; larger messages on other topics are skipped."""
-LARGEST_CHUNK = 2**30
+MAX_CHUNK_SIZE = 2**30
 """Maximum size of an uncompressed chunk in bytes. Chunks are streamed: the limit bounds time, not memory."""
-_LARGEST_HEADER = 2**16
-_LARGEST_DEFINITION = 2**20
+_MAX_HEADER_SIZE = 2**16
+_MAX_DEFINITION_SIZE = 2**20
 _MAX_CONNECTIONS = 10000
 _MAX_TOPIC, _MAX_TYPE, _MD5_LENGTH = 1024, 256, 32  # characters; genmsg and roscpp stay far below
 _MAGIC = b"#ROSBAG V"
@@ -134,11 +134,11 @@ class _Record:
 
     def __init__(self, stream: ReadStream, end_of_stream: int) -> None:
         self.stream = stream
-        self.fields = _parse_fields(_read_sized(stream, end_of_stream, _LARGEST_HEADER))
+        self.fields = _parse_fields(_read_sized(stream, end_of_stream, _MAX_HEADER_SIZE))
         (self.size,) = struct.unpack("<L", _read_exactly(stream, 4))
         self.end = stream.tell() + self.size
 
-    def data(self, largest: int = LARGEST_MESSAGE) -> bytes:
+    def data(self, largest: int = MAX_MESSAGE_SIZE) -> bytes:
         """Return the record's data; only before the next record is read."""
         if self.size > largest:
             raise _LimitError(f"a record has {self.size} bytes, this reader accepts up to {largest}")
@@ -173,10 +173,10 @@ def _records(stream: ReadStream, end: int) -> Iterator[_Record]:
 def _chunk_records(chunk: _Record) -> Iterator[_Record]:
     """Yield the records inside a chunk."""
     size = chunk.number("size", "<L")
-    if size > LARGEST_CHUNK:
+    if size > MAX_CHUNK_SIZE:
         raise _LimitError(
-            f"a chunk has {size} bytes, this reader accepts up to {LARGEST_CHUNK}: rewrite the bag with smaller chunks "
-            "(rosbag filter IN.bag OUT.bag True)"
+            f"a chunk has {size} bytes, this reader accepts up to {MAX_CHUNK_SIZE}: rewrite the bag with smaller "
+            "chunks (rosbag filter IN.bag OUT.bag True)"
         )
     compression = chunk.text("compression", _MAX_TYPE)
     if compression == "none":
@@ -193,7 +193,7 @@ def _chunk_records(chunk: _Record) -> Iterator[_Record]:
 def _add_connection(connections: Dict[int, Connection], record: _Record) -> None:
     if len(connections) >= _MAX_CONNECTIONS:
         raise _LimitError(f"more than {_MAX_CONNECTIONS} connections: extract the topics you need with rosbag filter")
-    own = _parse_fields(record.data(_LARGEST_DEFINITION))
+    own = _parse_fields(record.data(_MAX_DEFINITION_SIZE))
     connections[record.number("conn", "<L")] = Connection(
         record.text("topic", _MAX_TOPIC), _text(own, "type", _MAX_TYPE), _text(own, "md5sum", _MD5_LENGTH)
     )

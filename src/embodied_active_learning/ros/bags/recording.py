@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, ConfigError, ObservationError
-from embodied_active_learning.files import LARGEST_YAML, shown
+from embodied_active_learning.files import MAX_YAML_SIZE, shown
 from embodied_active_learning.msg import Observation, PlanarState, TargetDistribution
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, model_image
@@ -189,7 +189,7 @@ class Recording:
             found = self._settings[bag.path] = {}
             for message in bag.read(wanted):
                 text = _deserialise(bag, message, String).data
-                found.setdefault(_absolute(message.connection.topic), text[: LARGEST_YAML + 1])
+                found.setdefault(_absolute(message.connection.topic), text[: MAX_YAML_SIZE + 1])
                 if len(found) > _MAX_SYSTEMS:
                     raise BagError(f"{bag.path} has more than {_MAX_SYSTEMS} topics {names.RUN_CONFIG}: filter the bag")
         return topics

@@ -9,7 +9,7 @@ import yaml
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.config_versions import CONFIG_VERSION, FIRST_BAG_VERSION, stored_config
-from embodied_active_learning.files import LARGEST_YAML, parse_yaml, shown
+from embodied_active_learning.files import MAX_YAML_SIZE, parse_yaml, shown
 
 
 def settings_text(config: Config) -> str:
@@ -26,8 +26,8 @@ def read_settings(text: str) -> Dict[str, Any]:
     Raises:
         ValueError: The text is malformed, or stored by a newer version.
     """
-    if len(text) > LARGEST_YAML:
-        raise ValueError(f"it has {len(text)} characters, {LARGEST_YAML} are allowed")
+    if len(text) > MAX_YAML_SIZE:
+        raise ValueError(f"it has {len(text)} characters, {MAX_YAML_SIZE} are allowed")
     stored = parse_yaml(text)
     version = stored.pop("version", FIRST_BAG_VERSION) if isinstance(stored, dict) else FIRST_BAG_VERSION
     if type(version) is not int:
