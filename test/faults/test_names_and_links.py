@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.naming import LONGEST_NAME, check_name
-from embodied_active_learning.pipeline.identification import MOST_SESSIONS, IdentificationRun, check_results, read_sets
+from embodied_active_learning.pipeline.identification import IdentificationRun, check_results, read_sets
 from embodied_active_learning.pipeline.resolve import resolve
+from embodied_active_learning.session.fingerprinted import MOST_SESSIONS
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import check_session, find_session

@@ -12,6 +12,7 @@ import yaml
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.objects.decision import NOT_HERE
+from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.report import nearest, true_kinds
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints
 from embodied_active_learning.session.identifications import load_identification, load_trace
@@ -202,7 +203,9 @@ def assert_arm_at_rest(learning):
 def identified(fingerprinted, tmp_path_factory):
     """An identification in another world by the launch file: session folder and output."""
     home = tmp_path_factory.mktemp("identified")
-    output = launch_to_the_end(home, "identify.launch", *identify_arguments(fingerprinted, world="star_plant_duck"))
+    output = launch_to_the_end(
+        home, "identify.launch", *identify_arguments(fingerprinted, world="star_plant_duck", visit="true")
+    )
     return fingerprinted.home / "seen", output
 
 
@@ -242,6 +245,13 @@ def test_identification_writes_table_figure_and_traces(identified):
     assert all(len(values) == images for values in load_trace(path, "first").values())
     check = [sys.executable, ROOT / "tools" / "check_session.py", "identified", path, "first"]
     assert subprocess.run(check, check=False, capture_output=True).returncode == 0
+
+
+def test_found_places_are_visited(identified):
+    path, output = identified
+    found = [item for item in load_identification(path, "first").decisions if item.found and item.kind == OBJECT]
+    assert all(f"visited tiny/{item.fingerprint}/{item.instance} at x " in output for item in found), output
+    assert (path / "identification" / "first" / "visits.png").exists()
 
 
 def test_replay_gives_same_decisions(identified, fingerprinted, tmp_path):

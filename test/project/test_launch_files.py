@@ -125,6 +125,12 @@ def test_double_quotes_are_refused(name, argument):
         XmlLoader().load(str(path), ROSLaunchConfig(), argv=["session:=a", f'{argument}:=a"b'], verbose=False)
 
 
+def test_visits_without_an_arm_are_refused():
+    path = next(path for path in LAUNCH if path.stem == "identify")
+    with pytest.raises(XmlParseException, match="visit:=true needs the arm: not possible with replay"):
+        XmlLoader().load(str(path), ROSLaunchConfig(), argv=["replay:=a", "visit:=true"], verbose=False)
+
+
 @pytest.mark.parametrize("bringup", ["all", "nodes"])
 def test_velocity_service_starts_its_adapter_and_no_driver(bringup):
     config = ROSLaunchConfig()

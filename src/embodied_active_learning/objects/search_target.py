@@ -8,6 +8,7 @@ from typing import List
 import numpy as np
 
 from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.beliefs import BeliefGrid
@@ -24,6 +25,7 @@ class SearchTarget:
         self,
         fingerprint_set: FingerprintSet,
         fingerprint: Fingerprint,
+        model: TrainedModel,
         threshold: float,
         grid: BeliefGrid,
         settings: IdentificationConfig,
@@ -33,12 +35,14 @@ class SearchTarget:
         Args:
             fingerprint_set: The set that contains the fingerprint.
             fingerprint: What to search for.
+            model: The model of the set.
             threshold: Latent distance at which a measurement is 1/2.
             grid: The belief, at its prior.
             settings: How to calibrate the decision.
         """
         self.session = fingerprint_set.session
         self.fingerprint = fingerprint
+        self.model = model
         self.threshold = threshold
         self.grid = grid
         self._set = fingerprint_set

@@ -45,14 +45,13 @@ class Measurement:
     coverage: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StopCheck:
     """Result of a check: how far each part of the criterion is.
 
     Attributes:
-        objects: Number of clusters.
-        drift: Largest distance between an object's centre and that of the previous check [m]; NaN if the number of
-            objects has changed.
+        drifts: (K,) distance of each centre from that of the previous check [m]; NaN if their number has changed.
+        drift: The largest of them, 0 without objects.
         stable_checks: Number of successive checks, including this one, that found the same objects.
         stopped: Whether the run may end.
 
@@ -61,14 +60,26 @@ class StopCheck:
 
     update: int
     observations: int
-    objects: int
+    centres: np.ndarray
     undiscovered: int
+    drifts: np.ndarray
     drift: float
     stable_checks: int
     contrast: float
     latent_contribution: float
     coverage: float
     stopped: bool
+
+    @property
+    def objects(self) -> int:
+        """Number of clusters."""
+        return len(self.centres)
+
+    @property
+    def row(self) -> Dict[str, Any]:
+        """The numbers of the check, as a row of the table `stopping`."""
+        numbers = {name: value for name, value in vars(self).items() if name not in ("centres", "drifts")}
+        return {**numbers, "objects": self.objects}
 
     @property
     def reason(self) -> str:
@@ -102,16 +113,19 @@ class StoppingCriterion:
 
     def add(self, measured: Measurement) -> StopCheck:
         """Take in a measurement and return the check."""
-        drift = largest_distance(measured.centres, self._centres[-1]) if self._centres else np.nan
-        self._centres.append(_points(measured.centres))
-        agreeing, objects = self._agreeing(), len(measured.centres)
+        centres, objects = _points(measured.centres), len(measured.centres)
+        drifts = matched_distances(centres, self._centres[-1]) if self._centres else np.full(objects, np.nan)
+        drift = largest_distance(centres, self._centres[-1]) if self._centres else np.nan
+        self._centres.append(centres)
+        agreeing = self._agreeing()
         enough = STABLE_CHECKS if objects else EMPTY_CHECKS
         useful = measured.latent_contribution >= USEFUL or not objects
         return StopCheck(
             update=measured.update,
             observations=measured.observations,
-            objects=objects,
+            centres=centres,
             undiscovered=measured.undiscovered,
+            drifts=drifts,
             drift=drift,
             stable_checks=agreeing,
             contrast=measured.contrast,
@@ -151,11 +165,15 @@ def _points(values: Any) -> np.ndarray:
 
 def largest_distance(one: np.ndarray, other: np.ndarray) -> float:
     """Return the largest distance between matched points (K, 2), 0 without points; NaN if their numbers differ."""
-    if len(one) != len(other):
-        return float("nan")
-    distances = np.linalg.norm(one[:, np.newaxis] - other[np.newaxis], axis=-1)
-    rows, columns = linear_sum_assignment(distances)
-    return float(distances[rows, columns].max(initial=0.0))
+    return float(matched_distances(one, other).max(initial=0.0)) if len(one) == len(other) else float("nan")
+
+
+def matched_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the distance (K,) of each point (K, 2) from the other one (K, 2) matched to it; NaN if numbers differ."""
+    if len(points) != len(others):
+        return np.full(len(points), np.nan)
+    distances = np.linalg.norm(points[:, np.newaxis] - others[np.newaxis], axis=-1)
+    return np.asarray(distances[linear_sum_assignment(distances)])
 
 
 def count_unexplained(things: np.ndarray, centres: np.ndarray, distance: float) -> int:

@@ -13,6 +13,7 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.unknown import UnknownObject
+from embodied_active_learning.session.fingerprinted import searched_sessions
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import (
     identification_folder,
@@ -21,10 +22,7 @@ from embodied_active_learning.session.identifications import (
 )
 from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.paths import SessionPaths
-from embodied_active_learning.session.session import Session, find_session
-
-MOST_SESSIONS = 64
-"""Largest number of sessions whose fingerprints are searched for; each keeps a model in memory."""
+from embodied_active_learning.session.session import Session
 
 _CHUNK = 64
 """Largest number of images processed by one call of `advance`."""
@@ -33,17 +31,8 @@ FIRST_LOOK, _LOOK_GROWTH = 20, 1.2
 
 
 def read_sets(root: Path, sessions: Sequence[str]) -> List[FingerprintSet]:
-    """Load the fingerprints of sessions below a folder; each name is loaded once.
-
-    Raises:
-        SessionError: If a name is invalid or unknown, or if there are no names or too many.
-    """
-    names = list(dict.fromkeys(sessions))
-    if not names:
-        raise SessionError("no sessions given: name at least one session with fingerprints")
-    if len(names) > MOST_SESSIONS:
-        raise SessionError(f"too many sessions: {len(names)} given, at most {MOST_SESSIONS} allowed")
-    return [load_fingerprints(find_session(root, name, "one of sessions")) for name in names]
+    """Load the fingerprints of sessions below a folder; each name is loaded once. Raises like searched_sessions."""
+    return [load_fingerprints(path) for path in searched_sessions(root, sessions)]
 
 
 def check_results(session_path: Path, name: str, overwrite: bool) -> None:

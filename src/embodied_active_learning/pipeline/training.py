@@ -312,7 +312,7 @@ class TrainingRun:
         if early_stop is None or not to_check:
             return False
         check = early_stop.check(self._learner, evaluation, self._store.snapshot())
-        self._tables["stopping"].append(check)
+        self._tables["stopping"].append(check.row)
         if check.stopped:
             self._end_after(early_stop.steps)
             LOG.info("%s: the exploration ends after %d steps", check.reason, self._config.exploration.steps)

@@ -44,6 +44,7 @@ TRAINER_ENCODE = "trainer/encode"
 TRAINER_SAVE = "trainer/save"
 TRAINER_TRAJECTORY = "trainer/trajectory"
 TRAINING_STATUS = "training_status"
+CLUSTER_MARKERS = "cluster_markers"
 
 PLANNER_PAUSE = "planner/pause"
 PLANNER_RESUME = "planner/resume"
@@ -63,6 +64,7 @@ DECISION_MARKERS = "decision_markers"
 FOUND_OBJECTS = "found_objects"
 UNKNOWN_OBJECTS = "unknown_objects"
 OPEN_PLACES = "open_places"
+VISITED_PLACE = "visited_place"
 
 # Configuration of the run as YAML, in recorded bags only.
 RUN_CONFIG = "run_config"

@@ -7,12 +7,11 @@ Whatever kills the process or the machine, the newest generation is complete.
 from __future__ import annotations
 
 import os
-import re
 import shutil
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Collection, Iterable, Iterator, List, Optional, Tuple
+from typing import Collection, Iterable, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -30,6 +29,7 @@ from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import is_leftover, sync_folder, write_bytes, write_text
 from embodied_active_learning.session.checkpoints import load_model, save_model
 from embodied_active_learning.session.description import changed_keys, read_description
+from embodied_active_learning.session.fingerprinted import generations, newest_generation
 from embodied_active_learning.session.lock import claim
 from embodied_active_learning.session.paths import LOCK_FILE, SessionPaths, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
@@ -44,7 +44,6 @@ CALIBRATION_FILE = "calibration.safetensors"
 
 _KIND, _CALIBRATION_KIND = "fingerprint", "calibration"
 _SIMILARITIES = ("true", "false")
-_GENERATION = re.compile(r"[0-9]{6,}")
 _READER = FileReader(CorruptFileError, "restore it, or call /fingerprint again")
 _MODEL_READER = replace(_READER, limit=array_files.READER.limit)
 _FINGERPRINT_READER = replace(_READER, limit=2**30)
@@ -117,18 +116,18 @@ def load_fingerprints(session_path: Path) -> FingerprintSet:
     session_path = Path(session_path)
     config = read_description(SessionPaths(session_path).config)
     while True:
-        generation = _newest(session_path)
+        generation = newest_generation(session_path)
         try:
             return _read_set(session_path, generation, config)
         except CorruptFileError:
             # A new set may have replaced the one that was being read.
-            if _newest(session_path) == generation:
+            if newest_generation(session_path) == generation:
                 raise
 
 
 def has_fingerprints(session_path: Path) -> bool:
     """Return whether a session has a set, which may be damaged."""
-    return bool(_generations(SessionPaths(session_path).fingerprints))
+    return bool(generations(session_path))
 
 
 def _check_belongs(session_path: Path, found: FingerprintSet) -> None:
@@ -143,7 +142,7 @@ def _check_belongs(session_path: Path, found: FingerprintSet) -> None:
 def _replace_set(folder: Path, found: FingerprintSet) -> Path:
     """Write the next generation and delete the previous ones. The caller holds the lock."""
     _remove(path for path in folder.glob("*") if is_leftover(path.name))
-    before = _generations(folder)
+    before = generations(folder.parent)
     target = folder / f"{int(before[0].name) + 1 if before else 1:06d}"
     temporary = folder / f".{target.name}.tmp"
     try:
@@ -278,22 +277,6 @@ def _damage_in(path: Path) -> Iterator[None]:
         raise
     except (SessionError, TypeError, ValueError) as error:
         raise _READER.refuse(f"{path}:", str(error)) from error
-
-
-def _generations(folder: Path) -> List[Path]:
-    """Return the generations, the newest first."""
-    found = [path for path in folder.glob("*") if _GENERATION.fullmatch(path.name)]
-    return sorted(found, key=lambda path: int(path.name), reverse=True)
-
-
-def _newest(session_path: Path) -> Path:
-    generations = _generations(SessionPaths(session_path).fingerprints)
-    if not generations:
-        raise SessionError(
-            f"session {session_path} has no fingerprints yet: call /fingerprint first, with "
-            f"roslaunch embodied_active_learning fingerprint.launch session:={session_path.name}"
-        )
-    return generations[0]
 
 
 def _remove(paths: Iterable[Path]) -> None:

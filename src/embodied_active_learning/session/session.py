@@ -192,7 +192,10 @@ def _check_existing(path: Path, config: Config) -> None:
     SessionPaths(path).check_links()
     stored = read_description(path / CONFIG_FILE)
     if not config.session.resume:
-        raise SessionError(f"session {path} exists: choose another session/name, or set session/resume to continue it")
+        raise SessionError(
+            f"session {path} exists: choose another session/name (session:=), or continue it with session/resume "
+            "(resume:=true)"
+        )
     if stored.arm.robot == RECORDED != config.arm.robot:
         raise SessionError(
             f"session {path} was learned from a recording, so an arm cannot continue it: use replay.launch "

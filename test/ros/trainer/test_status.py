@@ -2,16 +2,24 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from visualization_msgs.msg import Marker, MarkerArray
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.distributed.pool import WorkerStatus
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN
+from embodied_active_learning.ros.rviz.markers import BLANK_COLOUR, FOUND_COLOUR, OBJECT_COLOUR
 from embodied_active_learning.ros.trainer import status as status_module
 from embodied_active_learning.ros.trainer.status import TrainerStatus
 
 CONFIG = Config()
+
+
+def make_check(drifts):
+    centres = np.full((len(drifts), 2), 0.4)
+    return SimpleNamespace(describe=lambda: f"objects {len(drifts)}", centres=centres, drifts=np.array(drifts))
 
 
 @pytest.fixture
@@ -24,13 +32,17 @@ def run(tmp_path):
 @pytest.fixture
 def status(run, monkeypatch):
     messages = []
-    publisher = SimpleNamespace(publish=messages.append)
-    monkeypatch.setattr(status_module.rospy, "Publisher", lambda *arguments, **options: publisher)
+    markers = []
+
+    def advertise(name, kind, **_options):
+        return SimpleNamespace(publish=(markers if kind is MarkerArray else messages).append)
+
+    monkeypatch.setattr(status_module.rospy, "Publisher", advertise)
     monkeypatch.setattr(status_module.rospy.Time, "now", lambda: status_module.rospy.Time(1))
     monkeypatch.setattr(status_module, "WallTimer", lambda period, function: None)
     monkeypatch.setattr(status_module, "report_health", lambda name, health: None)
     status = TrainerStatus(run, CONFIG)
-    status.messages = messages
+    status.messages, status.markers = messages, markers
     return status
 
 
@@ -42,11 +54,24 @@ def test_message_before_first_update_has_nan_losses(status):
 
 
 def test_message_shows_the_stopping_criterion(status, run):
-    run.config, run.stop_check = CONFIG.with_steps(320), SimpleNamespace(describe=lambda: "objects 2")
+    run.config, run.stop_check = CONFIG.with_steps(320), make_check([0.003, np.nan])
     status.publish()
     [message] = status.messages
     assert (message.steps, message.updates_planned, message.stopping) == (320, 960, "objects 2")
     assert status.health().values["stopping"] == "objects 2"
+
+
+def test_clusters_are_shown_with_their_drift_once_per_check(status, run):
+    run.stop_check = make_check([0.003, np.nan, 0.02])
+    status.publish()
+    status.publish()
+    [message] = status.markers
+    assert [marker.text for marker in message.markers if marker.text] == ["drift 0.3 cm", "new", "drift 2.0 cm"]
+    discs = [marker.color for marker in message.markers if marker.type == Marker.CYLINDER]
+    assert discs == [FOUND_COLOUR, BLANK_COLOUR, OBJECT_COLOUR]
+    run.stop_check = make_check([])
+    status.publish()
+    assert [marker.action for marker in status.markers[1].markers] == [Marker.DELETEALL]
 
 
 def test_message_contains_newest_update(status):

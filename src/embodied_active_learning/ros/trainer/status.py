@@ -7,16 +7,19 @@ import time
 from typing import Optional
 
 import rospy
+from visualization_msgs.msg import MarkerArray
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.distributed.pool import WorkerStatus
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.model.learner import UpdateReport
 from embodied_active_learning.msg import TrainingStatus
+from embodied_active_learning.objects.stability import StopCheck
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN, Health, Rate, report_health, rounded
 from embodied_active_learning.ros.runtime.timers import WallTimer
+from embodied_active_learning.ros.rviz.clusters import cluster_markers
 from embodied_active_learning.session.disk import bytes_below, check_space, free_bytes
 
 MIN_PERIOD = 0.1
@@ -38,9 +41,11 @@ class TrainerStatus:
         self._lock = threading.Lock()
         self._published: Optional[UpdateReport] = None
         self._published_at = 0.0
+        self._shown: Optional[StopCheck] = None
         self.error: Optional[Exception] = None
         """Why training ended, if it failed."""
         self._publisher = rospy.Publisher(names.TRAINING_STATUS, TrainingStatus, queue_size=10, latch=True)
+        self._clusters = rospy.Publisher(names.CLUSTER_MARKERS, MarkerArray, queue_size=1, latch=True)
         # In a thread of its own, so that publishing does not delay training.
         WallTimer(MIN_PERIOD, self._publish_if_due)
         report_health("trainer", self.health)
@@ -75,6 +80,9 @@ class TrainerStatus:
                 setattr(status, term, float(getattr(report, term, float("nan"))))
             self._published, self._published_at = report, time.monotonic()
             self._publisher.publish(status)
+            if check is not None and check is not self._shown:
+                self._shown = check
+                self._clusters.publish(cluster_markers(status.header.stamp, check))
 
     def _publish_if_due(self) -> None:
         if self._report is not self._published or time.monotonic() >= self._published_at + MAX_PERIOD:
