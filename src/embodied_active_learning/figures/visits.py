@@ -12,29 +12,28 @@ from embodied_active_learning.figures.style import MEDIUM, SMALL, default_style,
 from embodied_active_learning.objects.visits import Visit
 
 _SIDE = 1.8  # inches of a picture
-_COLUMNS = ("learned (unknown: as searched)", "predicted by the model", "picture taken")
+_COLUMNS = 3
 _GAP = 4  # pixels between the pictures of a comparison
 
 
 @default_style
 def draw_visits(path: Path, visits: Sequence[Visit], pdf: bool = False) -> Path:
     """Draw a row for each visit, at least one. Return the path."""
-    figure = new_figure(_SIDE * len(_COLUMNS) + 0.6, (_SIDE + 0.3) * len(visits) + 0.2)
-    grid = figure.subplots(len(visits), len(_COLUMNS), squeeze=False)
-    for title, axes in zip(_COLUMNS, grid[0]):
-        axes.set_title(title, fontsize=SMALL)
-    for visit, row in zip(visits, grid):
-        for picture, axes in zip((visit.destination.known, visit.prediction, visit.picture), row):
-            axes.set_xticks([])
-            axes.set_yticks([])
-            if picture is None:
-                axes.set_frame_on(False)
-            else:
+    figure = new_figure(_SIDE * _COLUMNS + 0.4, (_SIDE + 0.6) * len(visits))
+    for visit, part in zip(visits, figure.subfigures(len(visits), squeeze=False)[:, 0]):
+        destination = visit.destination
+        part.suptitle(destination.label, fontsize=MEDIUM)
+        x, y = destination.place
+        shown = (
+            (destination.known, "learned" if destination.expected else "seen while searching"),
+            (visit.prediction, "predicted by the model"),
+            (visit.picture, f"picture taken: x {x:.3f} m, y {y:.3f} m"),
+        )
+        for axes, (picture, caption) in zip(part.subplots(1, _COLUMNS), shown):
+            axes.set_axis_off()
+            if picture is not None:
                 axes.imshow(picture)
-        session, _, name = visit.destination.label.partition("/")
-        row[0].set_ylabel(f"{name}\n{session}" if name else session, fontsize=MEDIUM)
-        x, y = visit.destination.place
-        row[2].set_xlabel(f"object at x {x:.3f} m, y {y:.3f} m", fontsize=SMALL)
+                axes.set_title(caption, fontsize=SMALL, y=-0.12)
     return save(figure, path, pdf)
 
 
