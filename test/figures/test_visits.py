@@ -18,7 +18,7 @@ def make_visit(prediction=PICTURE, label="unknown-1"):
 @pytest.mark.parametrize("visits", [[make_visit(None)], [make_visit(label=f"{'a' * 64}/object-1/1")] * 3])
 def test_figure_has_a_row_per_visit(tmp_path, recwarn, visits):
     height = cv2.imread(str(draw_visits(tmp_path / "visits.png", visits))).shape[0]
-    assert height == pytest.approx(384 * len(visits), abs=2)
+    assert height == pytest.approx(408 * len(visits), abs=2)
     assert [str(warning.message) for warning in recwarn] == []
 
 

@@ -14,7 +14,7 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.scene_views import SceneViews
 from embodied_active_learning.objects.similarity import matches, stored_views
 
-_ROW_HEIGHT, _WIDTH = 1.9, 9.0  # inches
+_ROW_HEIGHT, _WIDTH = 2.4, 9.0  # inches
 _DIMMED = 4
 """Factor by which pixels beside the object are darkened."""
 _EXTENT = 50.0 * SIDE * PIXEL  # half a side in cm
@@ -33,21 +33,20 @@ class Evidence(NamedTuple):
 def draw_evidence(path: Path, rows: Sequence[Evidence], views: SceneViews, pdf: bool = False) -> Path:
     """Draw a row for each decision. Return the path."""
     figure = new_figure(_WIDTH, _ROW_HEIGHT * max(len(rows), 1))
-    grid = figure.subplots(max(len(rows), 1), len(_COLUMNS), squeeze=False)
-    for axes in grid.ravel():
-        axes.set_xticks([])
-        axes.set_yticks([])
-    for title, axes in zip(_COLUMNS, grid[0]):
-        axes.set_title(title, fontsize=SMALL)
-    for row, axes in zip(rows, grid):
-        _draw_row(row, list(axes), views)
+    for row, part in zip(rows, figure.subfigures(max(len(rows), 1), squeeze=False)[:, 0]):
+        part.suptitle(f"{row.label}: {row.decision.outcome}", fontsize=MEDIUM)
+        grid = list(part.subplots(1, len(_COLUMNS)))
+        for title, axes in zip(_COLUMNS, grid):
+            axes.set_xticks([])
+            axes.set_yticks([])
+            axes.set_title(title, fontsize=SMALL)
+        _draw_row(row, grid, views)
     return save(figure, path, pdf)
 
 
 def _draw_row(row: Evidence, axes: Sequence[Axes], views: SceneViews) -> None:
     """Draw one decision."""
     appearance, decision = row.appearance, row.decision
-    axes[0].set_ylabel(f"{row.label}\n{decision.outcome}", fontsize=MEDIUM)
     stored = appearance.central_view if appearance.usable.any() else 0
     picture, mask = appearance.colours[stored], appearance.masks[stored]
     _show(axes[0], picture)

@@ -19,15 +19,15 @@ _GAP = 4  # pixels between the pictures of a comparison
 @default_style
 def draw_visits(path: Path, visits: Sequence[Visit], pdf: bool = False) -> Path:
     """Draw a row for each visit, at least one. Return the path."""
-    figure = new_figure(_SIDE * _COLUMNS + 0.4, (_SIDE + 0.6) * len(visits))
+    figure = new_figure(_SIDE * _COLUMNS + 0.4, (_SIDE + 0.75) * len(visits))
     for visit, part in zip(visits, figure.subfigures(len(visits), squeeze=False)[:, 0]):
         destination = visit.destination
-        part.suptitle(destination.label, fontsize=MEDIUM)
         x, y = destination.place
+        part.suptitle(f"{destination.label}\nat x {x:.3f} m, y {y:.3f} m", fontsize=MEDIUM)
         shown = (
             (destination.known, "learned" if destination.expected else "seen while searching"),
             (visit.prediction, "predicted by the model"),
-            (visit.picture, f"picture taken: x {x:.3f} m, y {y:.3f} m"),
+            (visit.picture, "picture taken"),
         )
         for axes, (picture, caption) in zip(part.subplots(1, _COLUMNS), shown):
             axes.set_axis_off()
