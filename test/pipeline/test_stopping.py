@@ -68,6 +68,7 @@ def test_empty_table_ends_with_nothing_to_learn(tmp_path, monkeypatch):
 
 def test_fixed_run_makes_all_steps(tmp_path):
     assert finish(TrainingRun(configured(tmp_path))) == STEPS
+    assert not (tmp_path / "run" / "stopping.csv").exists()
 
 
 def test_resumed_run_ends_after_the_same_steps(tmp_path):

@@ -57,8 +57,8 @@ class TrainingRun:
             # For a rollback before the first checkpoint.
             self._initial = None if self._learner.updates else self._learner.state_dict()
             several = config.training.trainers > 1
-            names = ("training", "evaluation", "stopping", *(("rounds",) if several else ()))
-            self._tables = {name: self._open_table(name) for name in names}
+            used = {"training": True, "evaluation": True, "stopping": config.may_stop_early, "rounds": several}
+            self._tables = {name: self._open_table(name) for name in used if used[name]}
             self.pool = WorkerPool(config, self._store, address) if several else None
             opened.pop_all()
 
