@@ -36,7 +36,7 @@ def draw_session_figures(
     folder, pdf = session.paths.figures, session.config.session.pdf_figures
     loaded = load_session_images(session) if images is None else images
     paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: loaded)]
-    if len(session.read_table("stopping")["update"]):
+    if session.config.may_stop_early and len(session.read_table("stopping")["update"]):
         paths.append(draw_stopping(folder / "stopping.png", session))
     trained = load_session_model(session)
     if trained is None:

@@ -27,6 +27,7 @@ _SHARES: Tuple[Tuple[str, float, str], ...] = (
     ("latent_contribution", USEFUL, "contribution of\nthe latent"),
     ("coverage", LEAST_COVERAGE, "coverage"),
 )
+_COUNTS = ("objects", "clusters"), ("undiscovered", "visible, not clustered"), ("unlearned", "not reproduced either")
 
 
 @default_style
@@ -36,10 +37,10 @@ def draw_stopping(path: Path, session: Session) -> Path:
     observations = table["observations"]
     figure = new_figure(_WIDTH, _HEIGHT)
     counts, drift, *shares = figure.subplots(2 + len(_SHARES), 1, sharex=True)
-    for index, (name, text) in enumerate((("objects", "clusters"), ("undiscovered", "visible, not clustered"))):
+    for index, (name, text) in enumerate(_COUNTS):
         counts.plot(observations, table[name], color=colour(index), drawstyle="steps-mid", linewidth=1.2, label=text)
     counts.legend(fontsize=SMALL, frameon=False, ncols=2)
-    counts.set_ylim(-0.3, max(table["objects"].max(), table["undiscovered"].max()) + 1.5)
+    counts.set_ylim(-0.3, max(table[name].max() for name, _ in _COUNTS) + 1.5)
     label(counts, y="number of\nobjects")
     drift.plot(observations, 100.0 * table["drift"], color=colour(0), marker="o", markersize=3, linewidth=1.0)
     _limit(drift, 100.0 * LARGEST_DRIFT)

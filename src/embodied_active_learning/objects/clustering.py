@@ -72,6 +72,7 @@ class Clustering:
         clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
         things: (N, 2) [m] centres of all visible things, whether or not the model has learned them.
+        background: Colours of the table.
     """
 
     contrast: float
@@ -79,6 +80,7 @@ class Clustering:
     clusters: Tuple[Cluster, ...]
     unreachable: Tuple[Cluster, ...]
     things: np.ndarray
+    background: Background
 
 
 def find_objects(
@@ -116,7 +118,7 @@ def find_objects(
     background = _background(model, latents, states, images)
     things = visible_things(states, images, background, config)
     if contrast < settings.min_contrast:
-        return Clustering(contrast, True, (), (), things)
+        return Clustering(contrast, True, (), (), things, background)
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
@@ -133,6 +135,7 @@ def find_objects(
         (*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
         tuple(cluster for cluster, within in zip(objects, reachable) if not within),
         things,
+        background,
     )
 
 

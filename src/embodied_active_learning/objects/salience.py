@@ -17,13 +17,17 @@ _INLIERS = 0.9
 
 
 class Background:
-    """Gaussian colour model of the bare table, fitted robustly."""
+    """Gaussian colour model of the bare table, fitted robustly.
+
+    Attributes:
+        colour: (3,) the table's median colour, 0 to 255.
+    """
 
     def __init__(self, images: np.ndarray) -> None:
         """Fit to images (N, H, W, 3) uint8 that show mostly table."""
         pixels: np.ndarray = images[:, ::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
-        self._colour = np.median(pixels, axis=0)
-        deviations = pixels - self._colour
+        self.colour = np.median(pixels, axis=0)
+        deviations = pixels - self.colour
         size = np.abs(deviations).sum(axis=1)
         inliers = deviations[size <= np.quantile(size, _INLIERS)]
         covariance = inliers.T @ inliers / len(inliers) + _LEAST_STD**2 * np.eye(3)
@@ -31,5 +35,5 @@ class Background:
 
     def salience(self, image: np.ndarray) -> np.ndarray:
         """Return the salience of each pixel of an image (H, W, 3) uint8: (H, W), 0 (table) to 1 (foreground)."""
-        distance = np.linalg.norm((image - self._colour) @ self._whitening, axis=-1)
+        distance = np.linalg.norm((image - self.colour) @ self._whitening, axis=-1)
         return np.clip((distance - _FOREGROUND_BEGINS) / (_FOREGROUND_CERTAIN - _FOREGROUND_BEGINS), 0.0, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Deque, Dict, Mapping
@@ -10,12 +11,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, USEFUL
+from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, THINGS_LEARNED, USEFUL
 
 STABLE_CHECKS = 4
 """Successive checks that must find the same objects."""
 EMPTY_CHECKS = 6
 """Successive checks that must find no object before there is nothing to learn: objects appear late on some tables."""
+LEARNED_CHECKS = 8
+"""Successive checks in which the model must reproduce every visible thing, if its clusters are not stable."""
 LARGEST_DRIFT = 0.01  # m
 """Distance by which the centre of a stable object may differ between these checks."""
 LEAST_COVERAGE = 0.6
@@ -31,6 +34,7 @@ class Measurement:
         observations: Number of observations that the model has learned from.
         centres: (K, 2) clusters of the conditional entropy [m], without the blank region.
         undiscovered: Number of visible things that no cluster explains.
+        unlearned: Number of these that the model does not reproduce: less than half of what sets them off the table.
         contrast: Largest over smallest predicted standard deviation.
         latent_contribution: Share of the reconstruction error that the latent removes.
         coverage: Workspace coverage k.
@@ -40,6 +44,7 @@ class Measurement:
     observations: int
     centres: np.ndarray
     undiscovered: int
+    unlearned: int
     contrast: float
     latent_contribution: float
     coverage: float
@@ -53,6 +58,7 @@ class StopCheck:
         drifts: (K,) distance of each centre from that of the previous check [m]; NaN if their number has changed.
         drift: The largest of them, 0 without objects.
         stable_checks: Number of successive checks, including this one, that found the same objects.
+        learned_checks: Number of successive checks, including this one, of a useful model with nothing unlearned.
         stopped: Whether the run may end.
 
     The others are those of the measurement.
@@ -62,9 +68,11 @@ class StopCheck:
     observations: int
     centres: np.ndarray
     undiscovered: int
+    unlearned: int
     drifts: np.ndarray
     drift: float
     stable_checks: int
+    learned_checks: int
     contrast: float
     latent_contribution: float
     coverage: float
@@ -83,18 +91,17 @@ class StopCheck:
 
     @property
     def reason(self) -> str:
-        """Why the run ends: OBJECTS_STABLE or NOTHING_TO_LEARN; empty if it does not."""
-        if not self.stopped:
-            return ""
-        return OBJECTS_STABLE if self.objects else NOTHING_TO_LEARN
+        """Why the run ends: OBJECTS_STABLE, THINGS_LEARNED or NOTHING_TO_LEARN; empty if it does not."""
+        return reason_to_end(self.objects, self.undiscovered, self.stable_checks) if self.stopped else ""
 
     def describe(self) -> str:
         """Return each part with what it needs, for a progress line."""
         needed = STABLE_CHECKS if self.objects else EMPTY_CHECKS
         drift = "" if np.isnan(self.drift) or not self.objects else f", drift {100.0 * self.drift:.1f} cm"
         latent = f"  latent {100.0 * self.latent_contribution:.0f}/{100.0 * USEFUL:.0f} %" if self.objects else ""
+        things = f"undiscovered {self.undiscovered}, all learned for {self.learned_checks}/{LEARNED_CHECKS} checks"
         return (
-            f"objects {self.objects} for {self.stable_checks}/{needed} checks{drift}  undiscovered {self.undiscovered}"
+            f"objects {self.objects} for {self.stable_checks}/{needed} checks{drift}  {things}"
             f"{latent}  coverage {self.coverage:.2f}/{LEAST_COVERAGE:g}"
         )
 
@@ -106,9 +113,13 @@ class StoppingCriterion:
     the latent removes at least half of the reconstruction error, and the workspace is covered. Stable clusters alone
     are not enough: they can be those of the first objects found. Without objects and visible things there is nothing
     to learn, and the latent need not contribute.
+
+    Prints on a table are visible things whose clusters come and go. A run may therefore also end if the model has
+    reproduced all visible things, clusters or not, for twice as long.
     """
 
     def __init__(self) -> None:
+        self._learned_checks = 0
         self._centres: Deque[np.ndarray] = deque(maxlen=max(STABLE_CHECKS, EMPTY_CHECKS))
 
     def add(self, measured: Measurement) -> StopCheck:
@@ -119,35 +130,39 @@ class StoppingCriterion:
         self._centres.append(centres)
         agreeing = self._agreeing()
         enough = STABLE_CHECKS if objects else EMPTY_CHECKS
-        useful = measured.latent_contribution >= USEFUL or not objects
+        useful = measured.latent_contribution >= USEFUL
+        self._learned_checks = self._learned_checks + 1 if useful and not measured.unlearned else 0
+        stable = agreeing >= enough and (useful or not objects) and not measured.undiscovered
         return StopCheck(
             update=measured.update,
             observations=measured.observations,
             centres=centres,
             undiscovered=measured.undiscovered,
+            unlearned=measured.unlearned,
             drifts=drifts,
             drift=drift,
             stable_checks=agreeing,
+            learned_checks=self._learned_checks,
             contrast=measured.contrast,
             latent_contribution=measured.latent_contribution,
             coverage=measured.coverage,
-            stopped=bool(
-                agreeing >= enough and useful and measured.undiscovered == 0 and measured.coverage >= LEAST_COVERAGE
-            ),
+            stopped=bool((stable or self._learned_checks >= LEARNED_CHECKS) and measured.coverage >= LEAST_COVERAGE),
         )
 
     def state_dict(self) -> Dict[str, Any]:
-        """Return the centres of the last checks as plain data."""
-        return {"centres": [centres.tolist() for centres in self._centres]}
+        """Return what is known from the last checks as plain data."""
+        return {"centres": [centres.tolist() for centres in self._centres], "learned_checks": self._learned_checks}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore state_dict(). Raises CorruptFileError."""
         try:
             restored = [_points(centres) for centres in state["centres"]]
+            learned_checks = operator.index(state["learned_checks"])
         except (KeyError, TypeError, ValueError) as error:
             raise CorruptFileError(f"invalid state of the stopping criterion: {error!r}") from error
         self._centres.clear()
         self._centres.extend(restored)
+        self._learned_checks = learned_checks
 
     def _agreeing(self) -> int:
         """Number of last checks, one after the other, whose objects are those of the newest."""
@@ -176,7 +191,14 @@ def matched_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.asarray(distances[linear_sum_assignment(distances)])
 
 
-def count_unexplained(things: np.ndarray, centres: np.ndarray, distance: float) -> int:
-    """Return how many things (N, 2) lie farther than a distance from all centres (K, 2); all in metres."""
+def unexplained(things: np.ndarray, centres: np.ndarray, distance: float) -> np.ndarray:
+    """Return the things (N, 2) that lie farther than a distance from all centres (K, 2); all in metres."""
     distances = np.linalg.norm(things[:, np.newaxis] - centres[np.newaxis], axis=-1)
-    return int((distances.min(axis=1, initial=np.inf) > distance).sum())
+    return things[distances.min(axis=1, initial=np.inf) > distance]
+
+
+def reason_to_end(objects: int, undiscovered: int, stable_checks: int) -> str:
+    """Return why a run ends at a check with these numbers of a StopCheck."""
+    if undiscovered or (objects and stable_checks < STABLE_CHECKS):
+        return THINGS_LEARNED
+    return OBJECTS_STABLE if objects else NOTHING_TO_LEARN

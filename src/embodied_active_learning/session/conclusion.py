@@ -7,7 +7,8 @@ from typing import Dict, Optional
 
 import numpy as np
 
-from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, judge_run
+from embodied_active_learning.model.verdict import judge_run
+from embodied_active_learning.objects.stability import reason_to_end
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import Summary, readable_summary, write_summary
 
@@ -56,10 +57,13 @@ def conclude_launch(session: Session, finished: bool, wall_time: float) -> Summa
 
 def _reason_to_end(session: Session) -> str:
     """Return why the stopping criterion has ended the run; empty if it has not."""
-    last = {name: values[-1:] for name, values in session.read_table("stopping").items()}
-    if not session.config.may_stop_early or not last["stopped"].any():
+    if not session.config.may_stop_early:
         return ""
-    return OBJECTS_STABLE if last["objects"].any() else NOTHING_TO_LEARN
+    table = session.read_table("stopping")
+    if not table["stopped"][-1:].any():
+        return ""
+    objects, undiscovered, stable = (int(table[name][-1]) for name in ("objects", "undiscovered", "stable_checks"))
+    return reason_to_end(objects, undiscovered, stable)
 
 
 def _last(table: Dict[str, np.ndarray], column: str) -> Optional[float]:
