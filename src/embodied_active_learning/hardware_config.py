@@ -87,7 +87,13 @@ class FrankaConfig:
         math.pi,
         length=3,
     )
-    rate: float = setting(100.0, "set-points per second sent to the impedance controller", "Hz", 20.0, 500.0)
+    rate: float = setting(
+        100.0,
+        "set-points per second sent to the impedance controller, or velocity requests to a velocity service",
+        "Hz",
+        20.0,
+        500.0,
+    )
     max_lead: float = setting(0.05, "largest distance from measured pose to set-point along each axis", "m", 0.005, 0.1)
     max_turn_lead: float = setting(0.5, "largest yaw from measured pose to set-point", "rad", 0.02, 0.6)
     max_height_error: float = setting(0.03, "largest height error of the camera at the start of a move", "m", 1e-3, 0.2)

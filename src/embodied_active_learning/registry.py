@@ -1,7 +1,11 @@
 """Registries: the implementations that a configuration chooses by name.
 
 A registry lists its built-in entries as "module:attribute", so that the names are known without importing torch or
-scikit-learn. It is the only place where an implementation is registered:
+scikit-learn. Any other implementation is chosen in the same form, also by nodes, if its module is in PYTHONPATH:
+
+    config = load_config("demo", explorer="my_package.spiral:SpiralExplorer")
+
+Within one process it can be registered under a short name:
 
     from embodied_active_learning.registry import EXPLORERS
 
@@ -13,12 +17,14 @@ scikit-learn. It is the only place where an implementation is registered:
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from typing import Any, Callable, Dict, Iterator, Mapping, TypeVar, Union
 
 from embodied_active_learning.errors import ConfigError
 
 _Entry = TypeVar("_Entry", bound=Callable[..., Any])
+_REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 
 class Registry:
@@ -45,15 +51,22 @@ class Registry:
         del self._entries[name]
 
     def __getitem__(self, name: str) -> Callable[..., Any]:
-        """Import and return an entry. Raises ConfigError listing the known names."""
-        if name not in self._entries:
+        """Import and return an entry, or what "module:attribute" refers to.
+
+        Raises:
+            ConfigError: The name is unknown; the error lists the known ones. Or it cannot be imported.
+        """
+        if name not in self:
             raise ConfigError(f"unknown {self.kind} {name!r}: known are {', '.join(self)}")
-        entry = self._entries[name]
+        entry = self._entries.get(name, name)
         if not isinstance(entry, str):
             return entry
         module, _, attribute = entry.partition(":")
-        found: Callable[..., Any] = getattr(import_module(module), attribute)
-        return found
+        try:
+            implementation: Callable[..., Any] = getattr(import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            raise ConfigError(f"{self.kind} {name!r} cannot be imported: {error}; check PYTHONPATH") from error
+        return implementation
 
     def __iter__(self) -> Iterator[str]:
         return iter(tuple(self._entries))
@@ -62,7 +75,7 @@ class Registry:
         return len(self._entries)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._entries
+        return name in self._entries or (isinstance(name, str) and _REFERENCE.fullmatch(name) is not None)
 
 
 EXPLORERS = Registry(

@@ -215,7 +215,7 @@ class _Builder:
     def _text(self, item: dataclasses.Field, legal: Mapping[str, Any], value: Any, place: str) -> str:
         if not isinstance(value, str) or (not value and item.default is dataclasses.MISSING):
             raise self._wrong(place, value, "a text")
-        choices = list(legal["choices"])
+        choices = legal["choices"]
         if choices and value not in choices:
             hint = nearest(value, choices)
             ending = f"; {hint}" if hint.startswith("did") else ""

@@ -71,6 +71,24 @@ def test_own_explorer_needs_one_registration():
         EXPLORERS.unregister("levy_flight")
 
 
+def test_explorer_of_another_module_is_imported():
+    name = f"{RandomWalkExplorer.__module__}:RandomWalkExplorer"
+    config = Config.from_dict({"exploration": {"explorer": name}})
+    assert isinstance(EXPLORERS[config.exploration.explorer](config, 0), RandomWalkExplorer)
+
+
+@pytest.mark.parametrize("name", ["no_such_module:Explorer", f"{RandomWalkExplorer.__module__}:NoSuchClass"])
+def test_explorer_that_cannot_be_imported_is_refused(name):
+    with pytest.raises(ConfigError, match=f"explorer '{name}' cannot be imported: .*check PYTHONPATH"):
+        EXPLORERS[name]
+
+
+@pytest.mark.parametrize("name", ["os.system", "module:a b", ":Explorer", "module:", "a:b:c", "../module:Explorer"])
+def test_malformed_reference_to_an_explorer_is_refused(name):
+    with pytest.raises(ConfigError, match="explorer"):
+        Config.from_dict({"exploration": {"explorer": name}})
+
+
 @pytest.mark.parametrize("name", EXPLORERS)
 @settings(max_examples=8, deadline=None)
 @given(STATE, arrays(np.float64, (100,), elements=st.floats(0, 1)), st.integers(0, 2**31 - 1))

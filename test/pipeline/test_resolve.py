@@ -38,6 +38,11 @@ def test_default_session_name_is_valid(tmp_path):
     assert config.session.name.startswith("my-table-2-ergodic-seed0-")
 
 
+def test_default_session_name_has_class_of_own_explorer(tmp_path):
+    config = resolve("demo", override(tmp_path, session__name="", exploration__explorer="mine.spiral:SpiralExplorer"))
+    assert config.session.name.startswith("diagonal-spiralexplorer-seed0-")
+
+
 def test_resumed_session_keeps_its_config(tmp_path):
     made = resolve("demo", override(tmp_path, exploration__seed=3, exploration__explorer="uniform"))
     Session.open_for_writing(made).close()
@@ -128,6 +133,11 @@ def test_other_arm_id_than_the_profile_is_rejected(tmp_path):
 def test_velocity_service_uses_the_real_robot_profile(tmp_path):
     config = resolve("demo", override(tmp_path, arm__robot="velocity_service"))
     assert config.arm.max_turn_rate == resolve("demo", override(tmp_path, arm__robot="franka")).arm.max_turn_rate
+
+
+def test_default_session_name_has_class_of_own_explorer(tmp_path):
+    config = resolve("demo", override(tmp_path, session__name="", exploration__explorer="mine.spiral:SpiralExplorer"))
+    assert config.session.name.startswith("diagonal-spiralexplorer-seed0-")
 
 
 def test_resumed_session_keeps_robot_settings(tmp_path):

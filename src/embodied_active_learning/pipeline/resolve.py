@@ -167,7 +167,8 @@ def _session_name(config: Config) -> str:
     simulated = config.arm.robot == SIMULATED
     world = Path(config.simulation.world).stem if simulated else config.arm.robot
     exploration = config.exploration
-    rest = f"-{exploration.explorer}-seed{exploration.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
+    explorer = exploration.explorer.rpartition(":")[2].lower()[:20]
+    rest = f"-{explorer}-seed{exploration.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
     stem = re.sub("[^a-z0-9]+", "-", world.lower()).strip("-")[: min(20, MAX_NAME_LENGTH - len(rest))] or "world"
     return check_name(f"{stem}{rest}")
 
