@@ -135,11 +135,6 @@ def test_velocity_service_uses_the_real_robot_profile(tmp_path):
     assert config.arm.max_turn_rate == resolve("demo", override(tmp_path, arm__robot="franka")).arm.max_turn_rate
 
 
-def test_default_session_name_has_class_of_own_explorer(tmp_path):
-    config = resolve("demo", override(tmp_path, session__name="", exploration__explorer="mine.spiral:SpiralExplorer"))
-    assert config.session.name.startswith("diagonal-spiralexplorer-seed0-")
-
-
 def test_resumed_session_keeps_robot_settings(tmp_path):
     lab = tmp_path / "lab.yaml"
     lab.write_text("franka: {table_height: 0.12}\n")
