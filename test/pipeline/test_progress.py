@@ -18,7 +18,8 @@ def test_remaining_time_follows_the_pace():
 
 
 def test_stopping_criterion_ends_the_line():
-    assert ProgressLine().describe(Progress(50, 100, 150, 300, stopping="objects 2")).endswith("left -  objects 2")
+    line = ProgressLine().describe(Progress(50, 100, 150, 300, stopping="objects 2"))
+    assert line.endswith("left at most -  objects 2")
 
 
 def test_stalled_run_has_no_remaining_time():

@@ -64,7 +64,8 @@ class ProgressLine:
             f"loss {_number(progress.loss, '.3f')}",
             f"active units {_number(progress.active_units, '.0f')}/{progress.latent_size}",
             f"ergodic measure {_number(progress.ergodic_measure, '.3f')}",
-            f"left {duration(self._left.estimate(progress.share))}",
+            # The stopping criterion may end the run earlier.
+            f"left {'at most ' if progress.stopping else ''}{duration(self._left.estimate(progress.share))}",
             progress.stopping,
         ]
         return "  ".join(part for part in parts if part)
