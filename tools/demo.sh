@@ -46,6 +46,7 @@ $result
 what to try next (source setup.bash):
   other worlds:      roslaunch embodied_active_learning identify.launch sessions:=$session world:=stars_ducks profile:=$profile \\
                          explorer:=uniform_ergodic images:=$images session_root:=$root
+  drive to the found objects and take a picture of each:  add visit:=true
   watch it in rviz:  add rviz:=true
   your own world:    docs/worlds.md        a real Panda: docs/panda.md
 RESULT

@@ -248,7 +248,7 @@ class IdentificationConfig:
     stop_when_decided: bool = setting(
         True, "process no more images once every fingerprint is decided (decision verified only)"
     )
-    visit: bool = setting(False, "drive to every found and unknown object at the end, and take a picture there")
+    visit: bool = setting(False, "at the end, drive to every found, undecided and unknown object and take a picture")
 
 
 @dataclass(frozen=True)

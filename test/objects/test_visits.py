@@ -1,5 +1,6 @@
 """Where the camera looks at what an identification has found, and the view that is expected there."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from embodied_active_learning.geometry import move, pose_distance
 from embodied_active_learning.objects.appearance import Appearance
-from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.objects.visits import make_visit, plan_visits
@@ -36,9 +37,10 @@ def plan(*decisions, unknown=()):
     return plan_visits(SEARCH, decisions, unknown, WORKSPACE)
 
 
-def test_only_found_objects_are_visited():
-    found = plan(decide(INSIDE), decide(OUTSIDE, NOT_HERE), decide(OUTSIDE, kind=BLANK))
-    assert [item.label for item in found] == ["learned/object-1/1"]
+def test_found_and_undecided_objects_are_visited():
+    compared, without_views = decide(OUTSIDE, UNDECIDED), replace(decide(OUTSIDE, UNDECIDED), residual=np.inf)
+    found = plan(decide(INSIDE), decide(OUTSIDE, NOT_HERE), decide(OUTSIDE, kind=BLANK), compared, without_views)
+    assert [item.label for item in found] == ["learned/object-1/1", "learned/object-1/undecided"]
 
 
 @pytest.mark.parametrize("pose", [INSIDE, OUTSIDE], ids=["inside", "outside"])

@@ -1,4 +1,4 @@
-"""Visits: where the camera looks at found and unknown objects after an identification, and what it should see there."""
+"""Visits: where the camera looks after an identification, and what it should see there."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import List, NamedTuple, Optional, Sequence
 import numpy as np
 
 from embodied_active_learning.geometry import move, pose_distance
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.search_target import SearchTarget
@@ -22,7 +22,8 @@ class Destination(NamedTuple):
     """A place to visit, and the view that is expected there.
 
     Attributes:
-        label: `<session>/<fingerprint>/<instance>`, or `unknown-<number>`.
+        label: `<session>/<fingerprint>/<instance>`, with "undecided" in place of the instance if the object was not
+            found; or `unknown-<number>`.
         place: (2,) x [m], y [m] of the object in the base frame.
         state: (3,) camera state to view it from [m, m, rad], in the workspace.
         known: (H, W, 3) uint8 what is known of it: a view of the fingerprint, or an unknown object from above as the
@@ -86,16 +87,21 @@ def plan_visits(
     unknown: Sequence[UnknownObject],
     workspace: Workspace,
 ) -> List[Destination]:
-    """Return a destination for every found object, then for every unknown one; none for blanks.
+    """Return a destination for every found object and undecided candidate, then for every unknown object.
 
-    A found object is viewed as in a view of its fingerprint, from nearly above. Instead of a state outside the
-    workspace, the nearest one inside is used.
+    Blanks, and candidates without a comparison of views, are not visited. An object is viewed as in a view of its
+    fingerprint, from nearly above. Instead of a state outside the workspace, the nearest one inside is used.
     """
     targets = {(target.session, target.fingerprint.name): target for target in identification.targets}
-    found = [decision for decision in decisions if decision.found and decision.kind == OBJECT]
+    judged = [
+        decision
+        for decision in decisions
+        if decision.kind == OBJECT
+        and (decision.found or (decision.outcome == UNDECIDED and np.isfinite(decision.residual)))
+    ]
     destinations = [
         _to_object(targets[decision.session, decision.fingerprint], decision, identification.by_views, workspace)
-        for decision in found
+        for decision in judged
     ]
     for number, item in enumerate(unknown, start=1):
         state = workspace.clip([*item.place, workspace.centre[2]])
@@ -104,7 +110,7 @@ def plan_visits(
 
 
 def _to_object(target: SearchTarget, decision: Decision, by_views: bool, workspace: Workspace) -> Destination:
-    """Return the destination for a found object."""
+    """Return the destination for an object of a fingerprint, where it was found or may be."""
     fingerprint = target.fingerprint
     pose = target.appearance.centre_at(decision.pose) if by_views else decision.pose
     wanted = move(fingerprint.states, fingerprint.centre, pose)
@@ -113,7 +119,7 @@ def _to_object(target: SearchTarget, decision: Decision, by_views: bool, workspa
     off_centre, _ = pose_distance(fingerprint.states, fingerprint.centre)
     view = int(np.argmin(distance + _TURN_COST * turn + off_centre))
     return Destination(
-        label=f"{target.label}/{decision.instance}",
+        label=f"{target.label}/{decision.instance if decision.found else decision.outcome}",
         place=decision.pose[:2],
         state=possible[view],
         known=fingerprint.images[view],

@@ -42,14 +42,14 @@ class PlaceVisitor:
         return self._arm.health(active)
 
     def visit_found(self, run: IdentificationRun, decisions: Sequence[Decision], progress: Progress) -> None:
-        """Visit what an identification has found, and unknown objects; draw the pictures into its results.
+        """Visit the objects found, undecided and unknown; draw the pictures into the results of the identification.
 
         Raises:
             TaskCancelledError: If the task was cancelled. The arm stops during the command in progress.
         """
         destinations = plan_visits(run.identification, decisions, run.unknown, run.config.workspace.box())
         if not destinations:
-            rospy.loginfo("no places to visit: nothing was found")
+            rospy.loginfo("no places to visit: no object was found, undecided or unknown")
             return
         try:
             visits = self.visit(destinations, progress)
