@@ -52,7 +52,7 @@ _PNG_START = b"\x89PNG\r\n\x1a\n"
 
 
 def spread_indices(count: int, most: int) -> np.ndarray:
-    """Return at most `most` evenly spread indices below `count`."""
+    """Return at most `most` evenly spread indices below `count`, from the first to the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
 
 

@@ -62,6 +62,19 @@ def test_differences_name_changed_settings(tmp_path):
     ]
 
 
+def test_differences_ignore_settings_without_influence(tmp_path):
+    stored = load(tmp_path, SPEC).runs[0].config()
+    changes = "steps: 300}, fingerprint: {bandwidth: 0.06}, identification: {candidates: 4}, arm: {retries: 1"
+    assert differences(stored, load(tmp_path, SPEC.replace("steps: 300", changes)).runs[0].config()) == []
+
+
+def test_differences_include_clustering_of_runs_that_stop_when_stable(tmp_path):
+    text = SPEC.replace("steps: 300", "steps: 300, stop: stable")
+    stored = load(tmp_path, text).runs[0].config()
+    changed = load(tmp_path, text.replace("stable", "stable}, fingerprint: {bandwidth: 0.06")).runs[0].config()
+    assert differences(stored, changed) == ["fingerprint/bandwidth is 0.06 but was 0.045"]
+
+
 def test_differences_ignore_what_depends_on_the_computer(tmp_path):
     run = load(tmp_path, SPEC).runs[0]
     sections = run.config().to_dict()

@@ -20,6 +20,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
+from embodied_active_learning.images import spread_indices
 from embodied_active_learning.model.native.library import load_kernels
 from embodied_active_learning.objects.report import nearest
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
@@ -215,9 +216,9 @@ def _cluster(session: Session) -> Tuple[float, Tuple[FoundObject, ...]]:
 def _thin_csv(columns: Dict[str, np.ndarray], rows: int) -> bytes:
     """Return a CSV table of evenly spread rows with few digits, the first and last row included."""
     count = len(next(iter(columns.values())))
-    chosen: np.ndarray = np.unique(np.linspace(0, max(0, count - 1), min(count, rows)).round().astype(int))
     lines = [",".join(columns)]
-    lines += [",".join(_text(float(values[index])) for values in columns.values()) for index in chosen]
+    for index in spread_indices(count, rows):
+        lines.append(",".join(_text(float(values[index])) for values in columns.values()))
     return ("\n".join(lines) + "\n").encode("utf-8")
 
 

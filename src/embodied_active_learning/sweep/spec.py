@@ -26,8 +26,15 @@ from embodied_active_learning.pipeline.resolve import combine_changes
 from embodied_active_learning.schema import load, required, setting
 
 _READER = FileReader(ConfigError, "see the sweeps in experiments/", follow=True)
-_MACHINE_SETTINGS = (("training", "threads"), ("training", "device"))
-"""Settings that may differ between the computers of a sweep."""
+_NOT_COMPARED: Mapping[str, Tuple[str, ...]] = {
+    "training": ("threads", "device", "checkpoints_kept"),
+    "camera": ("latency", "max_age", "allow_featureless"),
+    "arm": ("commander_timeout", "retries"),
+    "franka": (),
+    "fingerprint": (),
+    "identification": (),
+}
+"""Settings by section (empty: all) that do not change a simulated run, except in the last digits for another device."""
 
 
 @dataclass(frozen=True)
@@ -104,16 +111,19 @@ def load_sweep(path: Path) -> Sweep:
 
 
 def differences(stored: Config, wanted: Config) -> List[str]:
-    """Return the settings in which two runs differ, as "section/key is 1 but was 2".
+    """Return the settings that influence a run in which two runs differ, as "section/key is 1 but was 2".
 
-    Not compared are the session, the folder of the world, and what depends on the computer.
+    Clustering (section fingerprint) influences a run that ends once its objects are stable.
     """
     before, after = portable_settings(stored), portable_settings(wanted)
+    ignored = dict(_NOT_COMPARED)
+    if wanted.may_stop_early:
+        del ignored["fingerprint"]
     return [
         f"{section}/{key} is {after[section][key]!r} but was {value!r}"
         for section, keys in before.items()
         for key, value in keys.items()
-        if (section, key) not in _MACHINE_SETTINGS and value != after[section][key]
+        if value != after[section][key] and not (section in ignored and key in (ignored[section] or keys))
     ]
 
 
