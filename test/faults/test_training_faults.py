@@ -25,6 +25,7 @@ def configured(root, **session):
     return Config.from_dict(
         {
             "camera": {"width": 45, "height": 45},
+            "model": {"hidden_sizes": [64, 32]},
             "training": {
                 "batch_size": 4,
                 "first_update_at": 4,

@@ -17,6 +17,7 @@ from embodied_active_learning.model.objective import PlainLoss
 
 SMALL = {
     "camera": {"width": 45, "height": 45},
+    "model": {"hidden_sizes": [64, 32]},
     "training": {"batch_size": 8, "first_update_at": 8, "device": "cpu", "evaluation_size": 20},
     "exploration": {"samples": 50, "fresh_samples": 10, "steps": 40},
     "objective": {"schedule_every": 2},

@@ -15,20 +15,13 @@ import pytest
 import other_device
 
 TESTS = Path(__file__).resolve().parents[1]
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    path = tmp_path_factory.mktemp("device") / "other_device.so"
-    other_device.build(path)
-    return path
+CASES = ("support/other_device_cases.py", "model/test_learner.py", "pipeline/test_training.py")
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
-@pytest.mark.parametrize(
-    "cases", ["support/other_device_cases.py", "model/test_learner.py", "pipeline/test_training.py"]
-)
-def test_training_on_fake_device(library, tmp_path, cases):
+def test_training_on_fake_device(tmp_path):
+    library = tmp_path / "other_device.so"
+    other_device.build(library)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), other_device.LIBRARY: str(library)}
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "other_device", "--basetemp"]
-    subprocess.run([*command, str(tmp_path / "cases"), str(TESTS / cases)], check=True, env=environment)
+    subprocess.run([*command, tmp_path / "cases", *(TESTS / cases for cases in CASES)], check=True, env=environment)

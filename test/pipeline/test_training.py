@@ -32,7 +32,7 @@ def test_finished_run_writes_model_tables_and_checkpoint(tmp_path):
         assert run.finished
         assert run.updates == 2 * STEPS
     weights, facts = load_model(tmp_path / "run" / "model.safetensors")
-    assert sum(tensor.numel() for tensor in weights.values()) > 100000
+    assert sum(tensor.numel() for tensor in weights.values()) > 10000
     assert facts["updates"] == 2 * STEPS
     assert len((tmp_path / "run" / "training.csv").read_text().splitlines()) == 2 * STEPS + 1
     assert len((tmp_path / "run" / "evaluation.csv").read_text().splitlines()) == 4 + 1

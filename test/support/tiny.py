@@ -11,5 +11,5 @@ TINY: Dict[str, Dict[str, Any]] = {
     "training": {"batch_size": 8, "first_update_at": 8, "evaluate_every": 8, "evaluation_size": 8, "device": "cpu"},
     "exploration": {"steps": STEPS, "samples": 50, "fresh_samples": 5},
     "fingerprint": {"min_contrast": 1.0, "views": 3, "samples": 60, "min_share": 0.0, "view_box": 0.1},
-    "identification": {"cells": [4, 4, 4]},
+    "identification": {"cells": [4, 4, 4], "trials": 3},
 }

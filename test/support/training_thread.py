@@ -17,6 +17,7 @@ def configured(root, **session):
     return Config.from_dict(
         {
             "camera": {"width": 45, "height": 45},
+            "model": {"hidden_sizes": [64, 32]},
             "training": {"batch_size": 4, "first_update_at": 4, "updates_per_observation": 2, "evaluate_every": 10},
             "exploration": {"steps": STEPS, "samples": 50, "fresh_samples": 5},
             "session": {"name": "run", "root": str(root), **session},
