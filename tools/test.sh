@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs the tests and prints their count. The first argument selects them, the others go to pytest:
-#   tools/test.sh unit    tests without nodes, in parallel
-#   tools/test.sh all     these, then the tests with nodes
+#   tools/test.sh unit    tests without nodes, in parallel on all cores
+#   tools/test.sh all     these, then the tests with nodes, two files at a time
 #   tools/test.sh all test/ground/test_config.py -k unknown
 set -eo pipefail  # not -u: ROS's setup files read unset variables
 cd "$(dirname "$0")/.."
@@ -25,6 +25,7 @@ run_tests() {
 }
 
 run_tests unit -m "not ros" -n auto --dist loadfile "$@"
-if [ "$which" = all ]; then run_tests nodes -m ros "$@"; fi
+# Each launch has its own master, and its nodes wait for much of the time.
+if [ "$which" = all ]; then run_tests nodes -m ros -n 2 --dist loadfile "$@"; fi
 python3 tools/count_tests.py build/tests-*.xml
 exit "$status"
