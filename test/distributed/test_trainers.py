@@ -17,6 +17,8 @@ from embodied_active_learning.distributed.link import LinkError, connect_store
 from embodied_active_learning.distributed.local import LocalWorkers
 from embodied_active_learning.distributed.messages import ROUND, Header
 from embodied_active_learning.distributed.worker import TrainerWorker, serve
+from embodied_active_learning.objects.stability import Measurement
+from embodied_active_learning.pipeline import stopping
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.session import Session
 from tiny import STEPS, TINY
@@ -197,6 +199,34 @@ def test_run_resumes_with_another_number_of_trainers(tmp_path, trainers):
     rounds = Session.open_read_only(run.folder).read_table("rounds")["trainers"].tolist()
     assert rounds[:2] == [3, 3]
     assert set(rounds[2:]) == ({trainers} if trainers > 1 else set())
+
+
+def test_run_of_two_trainers_ends_once_objects_are_stable(tmp_path, monkeypatch):
+    """The planner is in lock-step, so that the same run ends after the same steps."""
+
+    def measure(config, model, evaluation, coverage, stored):
+        centres = np.array([[0.4, 0.0], [0.5, 0.1]])
+        return Measurement(evaluation.update, evaluation.observations, centres, 0, 5.0, 0.9, 0.9)
+
+    monkeypatch.setattr(stopping, "measure", measure)
+    monkeypatch.setattr(stopping, "CHECK_EVERY", 2)
+    sections = configured(tmp_path, trainers=2, updates_per_round=3).to_dict()
+    sections["exploration"]["stop"] = "stable"
+
+    def steps(name):
+        sections["session"]["name"] = name
+        run = TrainingRun(Config.from_dict(sections))
+        with training(run) as output, workers(run, 1):
+            while run.observations < run.config.exploration.steps:
+                hand_over(run, [run.observations])
+                awaited = run.config.updates_awaited(run.observations)
+                assert run.log_std(np.zeros((1, 3)), awaited, TIMEOUT)[2]
+            assert output.finished.wait(TIMEOUT)
+        assert run.updates == 3 * run.observations
+        assert set(table(run, "rounds")["trainers"]) == {2}
+        return run.observations
+
+    assert steps("first") == steps("second") < STEPS
 
 
 def test_killed_and_frozen_workers_are_replaced(tmp_path):

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 
 import pytest
 import rosbag
+import yaml
 
 import embodied_active_learning as eal
 from embodied_active_learning.ros.bags.recording import Recording
@@ -117,6 +118,26 @@ def test_run_with_killed_trainer_ends_unfinished(tmp_path):
     assert not finished(path)
     stored = len(Session.open_read_only(path).open_observations())
     assert 8 < stored < 80
+
+
+def test_run_finishes_after_its_worker_is_killed(tmp_path):
+    path, profile, steps = tmp_path / "run", yaml.safe_load(SHORT.read_text()), 60
+    profile["training"]["updates_per_round"] = 2
+    (tmp_path / "profile.yaml").write_text(yaml.safe_dump(profile))
+    several = arguments(tmp_path, profile=tmp_path / "profile.yaml", steps=steps, trainers=2)
+    with launched(tmp_path, *several) as process:
+        wait_for(lambda: (path / "rounds.csv").exists() and len((path / "rounds.csv").read_text()) > 100, process)
+        os.kill(pid_of("trainer_worker_1", process.pid), signal.SIGKILL)
+        process.wait(180)
+    output = (tmp_path / "launch.log").read_text()
+    assert finished(path), output
+    assert "training with 2 of 2 trainers" in output
+    assert "trainer worker 1 dropped" in output
+    session = Session.open_read_only(path)
+    rounds = session.read_table("rounds")
+    assert (int(rounds["trainers"].max()), int(rounds["trainers"].min())) == (2, 1)
+    assert rounds["updates"].sum() == steps
+    assert len(session.open_observations()) == steps
 
 
 def test_two_namespaces_under_one_master(tmp_path):
