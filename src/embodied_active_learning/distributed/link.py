@@ -124,7 +124,8 @@ def connect_store(address: str) -> distributed.TCPStore:
 
 def _store(host: str, port: int, **options: Any) -> distributed.TCPStore:
     timeout = timedelta(seconds=JOIN_TIMEOUT)
-    return distributed.TCPStore(host, port, timeout=timeout, wait_for_workers=False, **options)
+    # torch 2.4's default, libuv, accepts no socket that listens already.
+    return distributed.TCPStore(host, port, timeout=timeout, wait_for_workers=False, use_libuv=False, **options)
 
 
 def _reason(error: Exception) -> str:
