@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from embodied_active_learning.session.session import Session
+from hosts import ROBOT, SERVER, connected_hosts, why_not
 from launching import ROOT, started
 from real_time import stand_in, truth, with_franka_messages
-from two_hosts import ROBOT, SERVER, two_hosts, why_not
 
 pytestmark = pytest.mark.ros
 
@@ -79,7 +79,7 @@ class Run(NamedTuple):
 @contextmanager
 def begun(home):
     """Start a run that waits for its arm, on a master that was started before."""
-    with two_hosts() as hosts, ExitStack() as running:
+    with connected_hosts() as hosts, ExitStack() as running:
         robot, server = (Side(hosts, host, home) for host in (ROBOT, SERVER))
         running.enter_context(started([*robot.prefix, "roscore"], robot.home / "core.log", robot.variables))
         running.enter_context(stand_in(robot.home, robot.variables, f"profile:={PROFILE}", prefix=robot.prefix))

@@ -1,4 +1,4 @@
-"""Two computers and their network: namespaces of this one, connected by a bridge."""
+"""Several computers and their network: namespaces of this one, connected by a bridge."""
 
 import os
 import shutil
@@ -9,10 +9,11 @@ ROBOT, SERVER = "robot", "server"
 ADDRESSES = {ROBOT: "10.77.0.1", SERVER: "10.77.0.2"}
 
 
-class TwoHosts:
-    """Runs processes as if on two computers. Several tests may do so at the same time."""
+class Hosts:
+    """Runs processes as if on several computers. Several tests may do so at the same time."""
 
-    def __init__(self):
+    def __init__(self, addresses=None):
+        self.addresses = addresses or ADDRESSES
         self._switch = f"eal-switch-{os.getpid()}"
 
     def namespace(self, host):
@@ -28,7 +29,7 @@ class TwoHosts:
         return {
             **variables,
             "ROS_MASTER_URI": f"http://{ADDRESSES[ROBOT]}:11311",
-            "ROS_IP": ADDRESSES[host],
+            "ROS_IP": self.addresses[host],
             "ROS_HOME": str(home),
             "ROSCONSOLE_FORMAT": "${node}: ${message}",
         }
@@ -44,7 +45,7 @@ class TwoHosts:
         self._ip("netns", "add", self._switch)
         self._ip("-n", self._switch, "link", "add", "bridge", "type", "bridge")
         self._ip("-n", self._switch, "link", "set", "bridge", "up")
-        for host, address in ADDRESSES.items():
+        for host, address in self.addresses.items():
             namespace = self.namespace(host)
             self._ip("netns", "add", namespace)
             self._ip("-n", self._switch, "link", "add", host, "type", "veth", "peer", "eth0", "netns", namespace)
@@ -53,8 +54,16 @@ class TwoHosts:
             self._ip("-n", namespace, "link", "set", "eth0", "up")
             self._ip("-n", namespace, "link", "set", "lo", "up")
 
+    def limit(self, megabits):
+        """Limit each link to a rate [Mb/s] in both directions, with buckets of 8 ms."""
+        bucket = ["rate", f"{megabits}mbit", "burst", str(megabits * 1000), "latency", "50ms"]
+        for host in self.addresses:
+            for namespace, device in ((self._switch, host), (self.namespace(host), "eth0")):
+                command = ["tc", "-n", namespace, "qdisc", "replace", "dev", device, "root", "tbf", *bucket]
+                subprocess.run(command, check=True, capture_output=True)
+
     def remove(self):
-        for name in (self._switch, *map(self.namespace, ADDRESSES)):
+        for name in (self._switch, *map(self.namespace, self.addresses)):
             subprocess.run(["ip", "netns", "delete", name], check=False, capture_output=True)
 
     def _ip(self, *words):
@@ -65,7 +74,7 @@ def why_not():
     """Return why namespaces cannot be created here; empty if they can."""
     if shutil.which("ip") is None:
         return "ip (iproute2) is not installed"
-    hosts = TwoHosts()
+    hosts = Hosts()
     try:
         hosts.make()
     except subprocess.CalledProcessError as error:
@@ -76,9 +85,9 @@ def why_not():
 
 
 @contextmanager
-def two_hosts():
-    """Yield two connected hosts."""
-    hosts = TwoHosts()
+def connected_hosts(addresses=None):
+    """Yield connected hosts, by default robot and server. addresses: IPv4 address by name."""
+    hosts = Hosts(addresses)
     try:
         hosts.make()
         yield hosts
