@@ -46,7 +46,7 @@ def main(folder: Path) -> None:
         import tensorboardX  # noqa: PLC0415 - optional
     except ImportError as error:
         raise MissingPackageError("tensorboardX is not installed: pip install tensorboardX") from error
-    with tensorboardX.SummaryWriter(str(folder / "tensorboard"), flush_secs=1) as writer, suppress(KeyboardInterrupt):
+    with suppress(KeyboardInterrupt), tensorboardX.SummaryWriter(str(folder / "tensorboard"), flush_secs=1) as writer:
         while True:
             write_events(session, writer, written)
             time.sleep(PERIOD)
