@@ -3,8 +3,8 @@
 
     source setup.bash && python3 experiments/active_identification.py SESSION_FOLDER ... --output FOLDER [--scenes 4]
 
-The simulated arm moves over the scenes of experiments/identification.py, in the same worlds and with the same seeds for
-each explorer. Rows are appended to results.csv, so that an interrupted call continues.
+The simulated arm moves over the scenes of experiments/identification_scenes.py, in the same worlds and with the same
+seeds for each explorer. Rows are appended to results.csv, so that an interrupted call continues.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 import torch
-from identification import CONDITIONS, Evaluation, append, judge, read
+from identification import Evaluation
+from identification_scenes import CONDITIONS, append, judge, read
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import VelocityCommand
@@ -59,13 +60,12 @@ def main() -> None:
     parser.add_argument("--conditions", nargs="*", default=["learned table", "other table", "all"], choices=CONDITIONS)
     parser.add_argument("--scenes", type=int, default=4, help="scenes of each condition")
     parser.add_argument("--images", type=int, default=1000, help="largest number of images")
-    parser.add_argument("--error-rate", type=float, default=0.05)
     options = parser.parse_args()
     torch.set_num_threads(1)
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "results.csv"
     done = {(row["condition"], int(row["scene"]), row["explorer"]) for row in read(path)}
-    evaluation = Evaluation(options.sessions, options.error_rate)
+    evaluation = Evaluation(options.sessions)
     for condition in options.conditions:
         for scene in range(options.scenes):
             for explorer in EXPLORERS:
@@ -78,12 +78,12 @@ def main() -> None:
 
 def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, most: int) -> Row:
     """Search one scene with one explorer."""
-    world = evaluation.world(condition, scene, reserved=False)
+    place = evaluation.scenes.draw(condition, scene)
     search = evaluation.search
     search.reset()
-    decisions = explore(world, evaluation.config, search, explorer, scene, most)
+    decisions = explore(place.world, evaluation.config, search, explorer, scene, most)
     judged = [
-        judge(decisions_about(decisions, *key), world, kind, (condition, scene, explorer, *key))
+        judge(decisions_about(decisions, *key), place, explorer, key, kind)
         for key, kind in evaluation.kinds.items()
         if kind != BLANK
     ]

@@ -16,7 +16,7 @@ from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.colours import colour_distance, colour_features
 from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.pose_search import propose, refine
+from embodied_active_learning.objects.pose_search import best_pose, propose, refine
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.similarity import similarity, stored_views
 from painted_table import Thing, learn, paint, random_states
@@ -93,6 +93,13 @@ def test_search_finds_pose_without_model(appearance, views):
     distance, turn = pose_distance(best.pose, np.array(PLACE))
     assert distance < 0.005
     assert turn < 0.3
+
+
+def test_search_follows_a_start_that_is_not_the_best_one(appearance, views):
+    """Beside the place, the right yaw is less similar than a wrong one at the place."""
+    turned, beside = np.add(PLACE, (0.0, 0.0, 1.2)), np.add(PLACE, (0.009, 0.0, 0.0))
+    pose = best_pose(appearance, views, views.nearest(np.array(PLACE[:2]), 5, 0.06), np.array([turned, beside]))
+    assert pose_distance(pose, np.array(PLACE))[1] < 0.2
 
 
 def test_true_views_exceed_most_look_alikes(appearance):

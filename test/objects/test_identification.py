@@ -460,6 +460,14 @@ def test_place_with_too_few_views_is_open():
     assert np.hypot(*(search.open_places - HERE[:2]).T).min() < 0.02
 
 
+def test_distant_views_suffice_where_nothing_is_similar():
+    states = random_states(WORKSPACE, 300, seed=3)
+    far = np.hypot(*(states[:, :2] - HERE[:2]).T) > SETTINGS.view_distance
+    search = make_identification()
+    red = search.decide(states[far], paint(states[far], (put(BLUE, THERE),), CAMERA))[0]
+    assert red.outcome == NOT_HERE, red.reason
+
+
 def test_belief_decision_never_stops_early():
     search = make_identification(settings=replace(SETTINGS, decision="belief"))
     search.observe(*stream())

@@ -26,8 +26,10 @@ _YAWS = 3
 """Yaws of a belief's peak from which the pose is searched, highest belief first."""
 _REFINEMENT_DISTANCE = 0.02  # m
 _REFINEMENT_TURN = 0.5  # rad
+_CLEARLY_BELOW = 0.5
+"""Share of the miss limit that an object reaches also in few or distant views, or on a table of its colours."""
 _LARGEST_TABLE_MATCH = 0.3
-"""Share of the scene with the object's colours above which its absence cannot be stated."""
+"""Share of the scene with the object's colours above which similarities just below the miss limit decide nothing."""
 
 
 class DecisionRule:
@@ -92,28 +94,30 @@ class DecisionRule:
         if settings.candidates_from == "belief":
             peaks = target.grid.peaks(settings.separation, settings.candidates)
             places = [_starts(target, peak) for peak in peaks]
-        found = [refine(target.appearance, views, starts, settings, mosaic.above(starts[0, :2])) for starts in places]
-        doubt = self._doubt(mosaic, table_match)
+        miss = target.calibration.limits(settings.error_rate).miss
+        found = [
+            refine(target.appearance, views, starts, settings, mosaic.above(starts[0, :2]), miss) for starts in places
+        ]
+        unseen = self._unseen(mosaic)
         decisions: List[Decision] = []
         for candidate in sorted(found, key=lambda item: -item.similarity):
             apart = [pose_distance(candidate.pose, other.pose)[0] >= settings.separation for other in decisions]
             if all(apart):
-                decisions.append(self._judge(target, candidate, doubt))
+                decisions.append(self._judge(target, candidate, unseen, table_match))
         return decisions
 
-    def _doubt(self, mosaic: Mosaic, table_match: float) -> str:
-        """Why the absence of an object could not be stated; empty if it could."""
+    def _unseen(self, mosaic: Mosaic) -> str:
+        """Why the absence of an object could not be stated for lack of images; empty if it could."""
         if mosaic.coverage < self._settings.min_coverage:
             return f"only {100 * mosaic.coverage:.0f} % of the workspace seen: take more images"
-        if table_match > _LARGEST_TABLE_MATCH:
-            return f"{100 * table_match:.0f} % of the scene has its colours: use another table"
         return ""
 
-    def _judge(self, target: SearchTarget, candidate: Candidate, doubt: str) -> Decision:
-        """Decide at a candidate pose."""
+    def _judge(self, target: SearchTarget, candidate: Candidate, unseen: str, table_match: float) -> Decision:
+        """Decide at a candidate pose, given why absence cannot be stated and the share of the scene in its colours."""
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
-        if len(candidate.views) < LEAST_VIEWS:
-            outcome, reason = UNDECIDED, doubt or "a place where it may be has too few views: take more images"
+        clearly_below = -1.0 < value < _CLEARLY_BELOW * limits.miss
+        if candidate.near < LEAST_VIEWS and not clearly_below:
+            outcome, reason = UNDECIDED, unseen or "a place where it may be has too few views: take more images"
         elif value >= limits.found:
             outcome = FOUND
             reason = f"similarity {value:.2f}, limit {limits.found:.2f}"
@@ -123,16 +127,22 @@ class DecisionRule:
                 f"similarity {value:.2f}, but objects of its colour or shape reach {limits.look_alike:.2f}: look "
                 "at the place, or take a fingerprint that shows more of what distinguishes it"
             )
-        elif doubt:
-            outcome, reason = UNDECIDED, f"best similarity {value:.2f}, but {doubt}"
+        elif unseen:
+            outcome, reason = UNDECIDED, f"best similarity {value:.2f}, but {unseen}"
+        elif table_match > _LARGEST_TABLE_MATCH and not clearly_below:
+            outcome = UNDECIDED
+            reason = (
+                f"best similarity {value:.2f}, but {100 * table_match:.0f} % of the scene has its colours: use another "
+                "table"
+            )
         else:
             outcome = NOT_HERE
             reason = f"best similarity {value:.2f}, limit {limits.miss:.2f}"
         return replace(
             self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
             confidence=target.calibration.confidence(value),
-            residual=1.0 - value if len(candidate.views) >= LEAST_VIEWS else np.inf,
-            views=len(candidate.views),
+            residual=1.0 - value if candidate.near >= LEAST_VIEWS else np.inf,
+            views=candidate.near,
         )
 
     def _blank(self, target: SearchTarget, mosaic: Mosaic) -> Decision:
@@ -144,7 +154,7 @@ class DecisionRule:
         elif not found.known:
             outcome, reason = UNDECIDED, "this table is unknown: learn it to search for bare places"
         elif mosaic.coverage < self._settings.min_coverage:
-            outcome, reason = UNDECIDED, self._doubt(mosaic, 0.0)
+            outcome, reason = UNDECIDED, self._unseen(mosaic)
         else:
             outcome, reason = NOT_HERE, f"at most {100 * found.share:.0f} % of any place has the table's colours"
         confidence = target.bare_table.confidence(found.share)

@@ -21,7 +21,7 @@ import numpy as np
 
 from embodied_active_learning.errors import ObservationError
 
-RULES = 3
+RULES = 4
 """Version of similarity and calibration: stored limits of another version do not apply."""
 
 

@@ -7,7 +7,7 @@ correlations, so all places are compared at once by Fourier transforms.
 
 from __future__ import annotations
 
-from typing import List, NamedTuple
+from typing import List, NamedTuple, Tuple
 
 import cv2
 import numpy as np
@@ -34,12 +34,18 @@ _GAINS = (-0.9, -0.5, -0.15, 0.2)
 _BALANCE = 0.05
 _PEAK_SIZE = 9
 """Side of the window in which a candidate place is the best one, in pixels of the mosaic."""
-_STARTS = 3
+_STARTS = 8
 """Yaws from which the pose is searched at a place."""
+_CLIMBS = 3
+"""Starts that are followed to their most similar pose: the first comparison may prefer an object turned by half."""
 LEAST_VIEWS = 3
-"""Views without which nothing is decided about a place."""
+"""Views from near a place without which an object is not found there."""
+_FAR = 1.5
+"""Where there are fewer, views from up to this many times as far may show that it is not there."""
 _SEARCH_VIEWS = 2
-"""Views in which the pose is searched before it is refined in all of them."""
+"""Views in which starts are compared."""
+_PROMISING = 0.5
+"""Share of the miss limit below which a start is not followed: no search raises a similarity that far."""
 _STEPS = ((0.004, 0.09), (0.003, 0.06), (0.0015, 0.03))
 """Steps [m, rad] of the searches around a start, around the best result, and around the best result again."""
 
@@ -49,13 +55,15 @@ class Candidate(NamedTuple):
 
     Attributes:
         pose: (3,) x [m], y [m], theta [rad].
-        similarity: Median over the views, 1 at best.
+        similarity: Median over the views, 1 at best; -1 if no view shows enough of the place.
         views: (V,) the images that were compared.
+        near: Number of them from near the place.
     """
 
     pose: np.ndarray
     similarity: float
     views: np.ndarray
+    near: int
 
 
 class Proposals(NamedTuple):
@@ -96,9 +104,14 @@ def propose(mosaic: Mosaic, appearance: Appearance, count: int) -> Proposals:
 
 
 def refine(
-    appearance: Appearance, views: SceneViews, starts: np.ndarray, settings: IdentificationConfig, above: np.ndarray
+    appearance: Appearance,
+    views: SceneViews,
+    starts: np.ndarray,
+    settings: IdentificationConfig,
+    above: np.ndarray,
+    miss: float = -1.0,
 ) -> Candidate:
-    """Return the most similar pose near the starts (Y, 3) at one place; with too few views its similarity is -1.
+    """Return the most similar pose near the starts (Y, 3) at one place.
 
     Args:
         appearance: The object.
@@ -106,14 +119,17 @@ def refine(
         starts: Poses to start from.
         settings: How many views are compared, and from how far.
         above: (2,) camera position nearest to the place; views are taken from there.
+        miss: Similarity below which the object is not there; places far below it are searched less thoroughly.
     """
     chosen = views.nearest(above, settings.views, settings.view_distance)
-    if len(chosen) < LEAST_VIEWS:
-        return Candidate(starts[0], -1.0, chosen)
-    pose = best_pose(appearance, views, chosen[:_SEARCH_VIEWS], starts, stride=3)
-    pose = climb(appearance, views, chosen, pose)
+    near = len(chosen)
+    if near < LEAST_VIEWS:
+        chosen = views.nearest(above, LEAST_VIEWS, _FAR * settings.view_distance)
+    if not len(chosen):
+        return Candidate(starts[0], -1.0, chosen, near)
+    pose = best_pose(appearance, views, chosen, starts, least=_PROMISING * miss)
     value = similarity(appearance, views, chosen, stored_views(appearance, views, chosen, pose), pose[None])
-    return Candidate(pose, float(value[0]), chosen)
+    return Candidate(pose, float(value[0]), chosen, near)
 
 
 def best_pose(
@@ -121,29 +137,44 @@ def best_pose(
     views: Views,
     chosen: Indices,
     starts: np.ndarray,
-    stride: int,
     excluded: Indices = (),
+    least: float = -1.0,
+    stride: int = 4,
 ) -> np.ndarray:
-    """Return the most similar pose (3,) next to any of the starts (Y, 3)."""
+    """Return the most similar pose (3,) that a search from the starts (Y, 3) reaches.
+
+    Args:
+        appearance: The object.
+        views: The images.
+        chosen: (V,) the images that are compared; the first ones alone decide which starts are followed.
+        starts: Poses to start from.
+        excluded: Stored views that are not compared with.
+        least: Similarity below which a start is not followed.
+        stride: Use every n-th point only while starts are compared.
+    """
     poses, values = [], []
     for start in starts:
         near = _around(start, *_STEPS[0])
-        stored = stored_views(appearance, views, chosen, start, excluded)
-        found = similarity(appearance, views, chosen, stored, near, stride)
+        stored = stored_views(appearance, views, chosen[:_SEARCH_VIEWS], start, excluded)
+        found = similarity(appearance, views, chosen[:_SEARCH_VIEWS], stored, near, stride)
         poses.append(near[found.argmax()])
-        values.append(found.max())
-    return poses[int(np.argmax(values))]
+        values.append(float(found.max()))
+    order = np.argsort(values)[::-1][:_CLIMBS]
+    followed = [climb(appearance, views, chosen, poses[index], excluded) for index in order if values[index] >= least]
+    return max(followed, key=lambda item: item[1])[0] if followed else poses[order[0]]
 
 
 def climb(
     appearance: Appearance, views: Views, chosen: Indices, pose: np.ndarray, excluded: Indices = ()
-) -> np.ndarray:
-    """Return a more similar pose (3,) close to a pose (3,)."""
+) -> Tuple[np.ndarray, float]:
+    """Return a more similar pose (3,) close to a pose (3,), and its similarity in half of the points."""
+    value = -1.0
     for step in _STEPS[1:]:
         stored = stored_views(appearance, views, chosen, pose, excluded)
         near = _around(pose, *step)
-        pose = near[similarity(appearance, views, chosen, stored, near, stride=2).argmax()]
-    return pose
+        found = similarity(appearance, views, chosen, stored, near, stride=2)
+        pose, value = near[found.argmax()], float(found.max())
+    return pose, value
 
 
 def _around(pose: np.ndarray, step: float, turn: float) -> np.ndarray:
@@ -178,8 +209,16 @@ def _kernels(appearance: Appearance, view: int, labels: np.ndarray, yaw: float, 
 
 
 def _starts(mosaic: Mosaic, maps: np.ndarray, row: int, column: int) -> np.ndarray:
-    """(Y, 3) poses at a pixel, at the yaws that are local maxima there, the best one first."""
-    window = maps[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].max(axis=(1, 2))
-    tops = np.flatnonzero((window >= np.roll(window, 1)) & (window >= np.roll(window, -1)))
-    tops = tops[np.argsort(-window[tops], kind="stable")][:_STARTS]
-    return np.array([[mosaic.x[column], mosaic.y[row], _YAWS[top]] for top in tops])
+    """(Y, 3) poses around a pixel, at the yaws that are local maxima there, the best one first.
+
+    Each yaw has its own best pixel, because the object turns around a centre that need not be its middle.
+    """
+    reach = _PEAK_SIZE // 2
+    top, left = max(row - reach, 0), max(column - reach, 0)
+    window = maps[:, top : row + reach + 1, left : column + reach + 1]
+    flat = window.reshape(len(maps), -1)
+    value = flat.max(axis=1)
+    rows, columns = np.unravel_index(flat.argmax(axis=1), window.shape[1:])
+    yaws = np.flatnonzero((value >= np.roll(value, 1)) & (value >= np.roll(value, -1)))
+    yaws = yaws[np.argsort(-value[yaws], kind="stable")][:_STARTS]
+    return np.stack([mosaic.x[left + columns[yaws]], mosaic.y[top + rows[yaws]], _YAWS[yaws]], axis=-1)

@@ -1,0 +1,257 @@
+"""Scenes for the evaluation of identification, how a decision is judged in them, and tables of the results.
+
+A scene holds two objects that one session learned, at new places and yaws, and two unknown ones. Everything about it
+is drawn from its condition and number. Unknown objects are random_urdfs/000 to /499 of pybullet_data and tables have
+seeds below 5000; reserved scenes have /500 to /999 and other seeds.
+"""
+
+from __future__ import annotations
+
+import csv
+import zlib
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+
+import numpy as np
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import WorldError
+from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.objects.report import SAME_PLACE, nearest
+from embodied_active_learning.simulation.disturbance import Disturbance
+from embodied_active_learning.simulation.placed_objects import PlacedObject
+from embodied_active_learning.simulation.random_world import random_world
+from embodied_active_learning.simulation.scene import Scene
+from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS
+from embodied_active_learning.simulation.world import World, build_world
+from embodied_active_learning.simulation.world_settings import Disturbances, GeneratedTexture, Lighting
+
+CONDITIONS = (
+    "learned table", "other table", "brightness", "gradient", "shadow", "white balance", "noise", "motion blur",
+    "9 cm apart", "all",
+)  # fmt: skip
+OTHER_TABLE = ("other table", "all")
+"""Conditions with a table that no session learned."""
+OBJECTS, UNKNOWN_OBJECTS, SPACING, CLOSE = 2, 2, 0.12, 0.09
+EXPOSURE, SPEED = 0.02, 0.15  # s, m/s: a blur of 3 mm, or 3.4 px
+_RESAMPLES = 2000
+_RESERVED_FROM = 500  # number of the first reserved procedural object
+
+
+class Place(NamedTuple):
+    """A scene: its world, and the session that learned its table ("" if none did)."""
+
+    condition: str
+    number: int
+    world: World
+    learned_by: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """How one fingerprint fared in one scene under one rule."""
+
+    condition: str
+    scene: int
+    rule: str
+    session: str
+    fingerprint: str
+    kind: str
+    own_table: int
+    present: int
+    hit: int
+    false_claim: int
+    undecided: int
+    error: float  # m, of a hit
+    reason: str
+
+
+class Scenes:
+    """Draws scenes with the objects and on the tables of some sessions."""
+
+    def __init__(self, worlds: Mapping[str, World], config: Config, reserved: bool = False) -> None:
+        """Use the worlds of sessions by name, and the camera and workspace of a configuration."""
+        self._worlds = {name: world for name, world in worlds.items() if world.objects}
+        self._config = config
+        self._box = config.workspace.box()
+        self._reserved = reserved
+        learned = {item.model.urdf.stem for world in worlds.values() for item in world.objects}
+        first = _RESERVED_FROM if reserved else 0
+        numbers = (f"{number:03d}" for number in range(first, first + _RESERVED_FROM))
+        self._unknown = [f"random_urdfs/{number}" for number in numbers if number not in learned]
+
+    def draw(self, condition: str, number: int) -> Place:
+        """Build a scene."""
+        seed = zlib.crc32(f"{condition} {number} {self._reserved}".encode())
+        random = np.random.default_rng(seed)
+        spacing = CLOSE if condition in ("9 cm apart", "all") else SPACING
+        table = GeneratedTexture(
+            TEXTURE_KINDS[number % len(TEXTURE_KINDS)], (5000 if self._reserved else 1000) + seed % 1000
+        )
+        while True:
+            kinds = [str(name) for name in random.choice(self._unknown, UNKNOWN_OBJECTS, replace=False)]
+            count, world_seed = OBJECTS + UNKNOWN_OBJECTS, int(random.integers(2**31))
+            settings = random_world(world_seed, count, spacing, kinds=kinds, table=table)
+            try:
+                world = build_world(settings, self._box, Path("scene.yaml"))
+                return self._changed(world, condition, number, random)
+            except WorldError:  # an object as high as the camera, or objects that overlap
+                continue
+
+    def _changed(self, world: World, condition: str, number: int, random: np.random.Generator) -> Place:
+        """Put objects of one session in place of the first ones, and change table and light."""
+        session = sorted(self._worlds)[int(random.integers(len(self._worlds)))]
+        own = self._worlds[session]
+        chosen = random.choice(len(own.objects), OBJECTS, replace=len(own.objects) < OBJECTS)
+        objects = [_moved(own.objects[index], place) for index, place in zip(chosen, world.objects)]
+        changed = replace(world, objects=(*objects, *world.objects[OBJECTS:]), lighting=lighting(condition, random))
+        if condition in ("noise", "all"):
+            changed = replace(changed, disturbances=Disturbances(image_noise=10.0))
+        if condition not in OTHER_TABLE:
+            changed = replace(changed, table=own.table)
+        Scene(changed, self._config.camera).close()
+        return Place(condition, number, changed, "" if condition in OTHER_TABLE else session)
+
+
+def _moved(item: PlacedObject, place: PlacedObject) -> PlacedObject:
+    return replace(item, name=place.name, position=place.position, yaw=place.yaw)
+
+
+def lighting(condition: str, random: np.random.Generator) -> Lighting:
+    """Draw the light of a condition."""
+    values: Dict[str, object] = {}
+    if condition in ("brightness", "all"):
+        values["brightness"] = round(random.uniform(0.5, 1.5), 3)
+    if condition in ("gradient", "all"):
+        values.update(gradient=2.0, gradient_direction=round(random.uniform(0.0, 6.28), 3))
+    if condition in ("shadow", "all"):
+        values.update(shadow=0.4, shadow_centre=(0.475, 0.0), shadow_radius=0.08)
+    if condition in ("white balance", "all"):
+        values["white_balance"] = tuple(np.round(random.uniform(0.88, 1.12, 3), 3))
+    if condition in ("motion blur", "all"):
+        values["motion_blur"] = EXPOSURE
+    return Lighting(**values)  # type: ignore[arg-type]
+
+
+def photograph(world: World, config: Config, count: int, seed: int) -> Tuple[np.ndarray, np.ndarray]:
+    """Return states (N, 3) uniform over the workspace, and images (N, H, W, 3) uint8."""
+    random, box = np.random.default_rng([7, seed]), config.workspace.box()
+    states = random.uniform(box.lower, box.upper, (count, box.size))
+    disturbance, scene = Disturbance(world.disturbances, seed), Scene(world, config.camera)
+    images = []
+    for index, state in enumerate(states):
+        direction = random.uniform(-np.pi, np.pi)
+        velocity = (SPEED * np.cos(direction), SPEED * np.sin(direction), 0.0)
+        images.append(disturbance.image(scene.render(state, config.camera.distance, velocity), 0.2 * index))
+    scene.close()
+    return states, np.stack(images)
+
+
+def locations(world: World) -> List[Tuple[str, float, float]]:
+    """Return kind and position of each object."""
+    return [(item.kind, item.position[0], item.position[1]) for item in world.objects]
+
+
+def true_kind(kind: str, centre: np.ndarray, world: World) -> str:
+    """Return the kind of the object at a fingerprint's centre: BLANK of a blank, "" if no object is there."""
+    found, distance = nearest(centre, locations(world))
+    return BLANK if kind == BLANK else found if distance <= SAME_PLACE else ""
+
+
+def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[str, str], kind: str) -> Row:
+    """Compare the decisions of a rule about one fingerprint with the scene.
+
+    Args:
+        decisions: About this fingerprint.
+        place: The scene.
+        rule: Name of the rule.
+        name: Session and name of the fingerprint.
+        kind: Of the object that it shows, as `true_kind` returns it.
+    """
+    objects = locations(place.world)
+    instances = [item for item in objects if item[0] == kind]
+    found = [item for item in decisions if item.found]
+    if kind == BLANK:
+        false = any(nearest(item.pose, objects)[1] <= SAME_PLACE for item in found)
+        hit, error = bool(found) and not false, 0.0
+    else:
+        false = any(nearest(item.pose, instances)[1] > SAME_PLACE for item in found)
+        error = min((nearest(item.pose, instances)[1] for item in found), default=np.inf)
+        hit = error <= SAME_PLACE
+    return Row(
+        condition=place.condition,
+        scene=place.number,
+        rule=rule,
+        session=name[0],
+        fingerprint=name[1],
+        kind=kind or "?",
+        own_table=int(place.learned_by == name[0]),
+        present=int(kind == BLANK or bool(instances)),
+        hit=int(hit),
+        false_claim=int(false),
+        undecided=int(not found and any(item.outcome == "undecided" for item in decisions)),
+        error=float(error) if hit else float("nan"),
+        reason=decisions[0].reason if decisions else "",
+    )
+
+
+def append(path: Path, rows: Sequence[Any]) -> None:
+    """Append rows to a CSV file."""
+    new = not path.exists()
+    with path.open("a", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [field.name for field in fields(rows[0])])
+        if new:
+            writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+def read(path: Path) -> List[Dict[str, str]]:
+    """Read the rows of a CSV file; none if there is no such file."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def report(rows: Sequence[Dict[str, str]]) -> None:
+    """Print hits, false claims and undecided shares with intervals over sessions, and location errors.
+
+    In conditions with a learned table, an object counts as present for the fingerprints of the session that learned
+    that table.
+    """
+    print("\n| condition | rule | hits | undecided, present | false claims, absent | undecided, absent | error [cm] |")
+    print("| --- " * 7 + "|")
+    objects = [row for row in rows if row["kind"] != BLANK]
+    for rule in dict.fromkeys(row["rule"] for row in objects):
+        of_rule = [row for row in objects if row["rule"] == rule]
+        for condition in dict.fromkeys(row["condition"] for row in of_rule):
+            _report_line(condition, rule, [row for row in of_rule if row["condition"] == condition])
+        _report_line("all rows above", rule, of_rule)
+    for rule in dict.fromkeys(row["rule"] for row in rows):
+        _report_line("blanks", rule, [row for row in rows if row["kind"] == BLANK and row["rule"] == rule])
+
+
+def _report_line(condition: str, rule: str, rows: Sequence[Dict[str, str]]) -> None:
+    there = [row for row in rows if row["present"] == "1" and _is_fair(row)]
+    absent = [row for row in rows if row["present"] == "0"]
+    errors = [100.0 * float(row["error"]) for row in there if row["hit"] == "1"]
+    cells = (share(there, "hit"), share(there, "undecided"), share(absent, "false_claim"), share(absent, "undecided"))
+    print(f"| {condition} | {rule} | {' | '.join(cells)} | {np.median(errors) if errors else np.nan:.2f} |")
+
+
+def _is_fair(row: Dict[str, str]) -> bool:
+    return row["condition"] in OTHER_TABLE or row["own_table"] == "1" or row["kind"] == BLANK
+
+
+def share(rows: Sequence[Dict[str, str]], field: str) -> str:
+    """Return a count with the 95 % bootstrap interval of its share, resampled over sessions."""
+    if not rows:
+        return "-"
+    sessions = sorted({row["session"] for row in rows})
+    values = [[int(row[field]) for row in rows if row["session"] == name] for name in sessions]
+    counts = np.array([[sum(part), len(part)] for part in values])
+    drawn = counts[np.random.default_rng(0).integers(len(sessions), size=(_RESAMPLES, len(sessions)))].sum(axis=1)
+    low, high = np.quantile(drawn[:, 0] / drawn[:, 1], (0.025, 0.975))
+    return f"{counts[:, 0].sum()} / {counts[:, 1].sum()} ({100 * low:.0f}-{100 * high:.0f} %)"
