@@ -31,6 +31,8 @@ from identification_scenes import (
 )  # fmt: skip
 
 from embodied_active_learning.config import Config, IdentificationConfig
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid
 from embodied_active_learning.objects.collection import is_new_view
 from embodied_active_learning.objects.decision import decisions_about
@@ -83,12 +85,12 @@ class Half:
         self.config = Config()
         self._box = self.config.workspace.box()
         self._settings = IdentificationConfig()
+        camera = self.config.camera
+        network = ConditionalVAE((camera.height, camera.width), self._box.size, self.config.model)
+        self._untrained = TrainedModel(self.config, network.state_dict())
         self._worlds = {f"table-{index}": self._world(index) for index in range(TABLES)}
         self.sets = [self._learn(session, world) for session, world in self._worlds.items()]
-        self.targets = [
-            [SearchTarget(item, one, 1.0, BeliefGrid(self._box, self._settings), self._settings) for one in found]
-            for item, found in ((item, item.fingerprints) for item in self.sets)
-        ]
+        self.targets = [[self._target(item, one) for one in item.fingerprints] for item in self.sets]
         self._scenes = Scenes(self._worlds, self.config)
         self._kinds: Dict[Tuple[str, str], str] = {
             (item.session, one.name): true_kind(one.kind, one.centre, self._worlds[item.session])
@@ -117,6 +119,11 @@ class Half:
                     for name, kind in kinds.items()
                 ]
         return rows
+
+    def _target(self, found: FingerprintSet, fingerprint: Fingerprint) -> SearchTarget:
+        """A target whose model and belief are not used."""
+        grid = BeliefGrid(self._box, self._settings)
+        return SearchTarget(found, fingerprint, self._untrained, 1.0, grid, self._settings)
 
     def _world(self, index: int) -> World:
         """Three objects on a table."""
