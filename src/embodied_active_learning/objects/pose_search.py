@@ -34,7 +34,7 @@ _GAINS = (-0.9, -0.5, -0.15, 0.2)
 _BALANCE = 0.05
 _PEAK_SIZE = 9
 """Side of the window in which a candidate place is the best one, in pixels of the mosaic."""
-_STARTS = 8
+_STARTS = 6
 """Yaws from which the pose is searched at a place."""
 _CLIMBS = 3
 """Starts that are followed to their most similar pose: the first comparison may prefer an object turned by half."""
