@@ -101,7 +101,7 @@ class Evaluation:
                 for group in by_session(search.targets):
                     decisions += DecisionRule(settings).decide(group, views, stream.mosaic)
                 yield name, self._counted(decisions, world) if "ranked" in name else decisions
-        objects = [item for item in self.search.targets if item.fingerprint.kind == OBJECT]
+        objects = [item for item in self.search.targets if item.fingerprint.kind == OBJECT and not item.problem]
         for name, baseline in self._baselines.items():
             yield name, [baseline.decide(item, stream) for item in objects]
 
