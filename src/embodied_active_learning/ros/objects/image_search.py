@@ -9,10 +9,11 @@ from typing import List
 import rospy
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import SessionError
+from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.pipeline.identification import IdentificationRun, read_sets
 from embodied_active_learning.ros.planner.open_places import OpenPlacesPublisher
+from embodied_active_learning.ros.planner.trainer_client import save_model
 from embodied_active_learning.ros.runtime.diagnostics import Rate
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 from embodied_active_learning.ros.runtime.task_server import Progress
@@ -66,6 +67,18 @@ class ImageSearch:
         run.save(decisions)
         self._outputs.publish_result(run.identification.targets, run.processed, decisions, run.unknown)
         return decisions
+
+    def store_model(self) -> None:
+        """Store the model that is learned while identifying, so that its session can be resumed and fingerprinted."""
+        if not self._config.training.updates_per_observation:
+            return
+        try:
+            save_model()
+        except EmbodiedActiveLearningError as error:
+            rospy.logwarn("the model of the searched workspace is not stored: %s", error)
+        else:
+            name = self._config.session.name
+            rospy.loginfo("model of the searched workspace: session %s; learn.launch resume:=true continues it", name)
 
     def _running_session(self, images: int, progress: Progress) -> Path:
         """Return the folder of the running session once it has an image."""

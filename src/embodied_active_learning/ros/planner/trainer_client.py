@@ -8,11 +8,11 @@ from typing import Optional, Tuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.msg import Observation
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import states_array
-from embodied_active_learning.ros.runtime.services import RetryingService
+from embodied_active_learning.ros.runtime.services import RetryingService, trigger_if_advertised
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 from embodied_active_learning.srv import (
     EvaluateEntropy,
@@ -78,3 +78,14 @@ class TrainerClient:
                 # After an early stop, more updates are awaited.
                 if response.ready and self._config.updates_awaited(observations) == awaited:
                     return np.array(response.log_std) if response.learned else None
+
+
+def save_model() -> None:
+    """Let a running trainer, if there is one, store its current model.
+
+    Raises:
+        EmbodiedActiveLearningError: the trainer does not respond, or cannot store it.
+    """
+    response = trigger_if_advertised(names.TRAINER_SAVE)
+    if response is not None and not response.success:
+        raise SessionError(f"the trainer could not save its model: {response.message}")
