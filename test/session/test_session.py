@@ -301,10 +301,8 @@ def test_only_sessions_are_listed(tmp_path):
 def test_summary_has_the_last_values_of_the_tables(tmp_path):
     with Session.open_for_writing(make_config(tmp_path)) as session:
         with session.open_table("exploration") as table:
-            for step in range(4):
-                table.append(
-                    {"step": step, "ergodic_measure": 1.0 / (step + 1), "distance": 0.1 * step, "coverage": 0.5}
-                )
+            for step in range(1, 5):
+                table.append({"step": step, "ergodic_measure": 1.0 / step, "distance": 0.1 * step, "coverage": 0.5})
         with session.open_table("training") as table:
             table.append({"update": 12})
         with session.open_table("evaluation") as table:
@@ -317,7 +315,7 @@ def test_summary_has_the_last_values_of_the_tables(tmp_path):
             active_units=16,
             ergodic_measure=0.25,
             coverage=0.5,
-            distance=pytest.approx(0.3),
+            distance=pytest.approx(0.4),
             mse_own=0.001,
             mse_shuffled=0.02,
             mse_none=None,
@@ -330,7 +328,7 @@ def test_summary_has_the_last_values_of_the_tables(tmp_path):
 def write_finished_summary(config):
     with Session.open_for_writing(config) as session:
         with session.open_table("exploration") as table:
-            for step in range(config.exploration.steps):
+            for step in range(1, config.exploration.steps + 1):
                 table.append({"step": step})
         with session.open_table("training") as table:
             table.append({"update": config.updates_planned})
@@ -363,6 +361,14 @@ def test_damaged_summary_is_removed_on_resume(tmp_path):
     path.write_text("finished: true\n")
     Session.open_for_writing(make_config(tmp_path, resume=True)).close()
     assert not path.exists()
+
+
+def test_summary_counts_a_step_whose_row_was_lost(tmp_path):
+    with Session.open_for_writing(make_config(tmp_path)) as session:
+        with session.open_table("exploration") as table:
+            for step in (1, 2, 4):
+                table.append({"step": step})
+        assert summarise(session, finished=False, wall_time=0.0).steps == 4
 
 
 def test_summary_of_empty_run_has_no_numbers(tmp_path):

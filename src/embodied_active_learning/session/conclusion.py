@@ -28,7 +28,7 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
     ended = _reason_to_end(session)
     return Summary(
         finished=finished,
-        steps=len(exploration["step"]),
+        steps=int(_last(exploration, "step") or 0),  # an interrupted step has an observation, but no row
         updates=updates,
         wall_time=round(float(wall_time), 3),
         active_units=_last(evaluation, "active_units"),
