@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("--stop", choices=("stable", "fixed"), default="stable", help="when a run ends")
     parser.add_argument("--reserved", action="store_true", help="other objects, for a final report")
     parser.add_argument("--root", type=Path, default=Path("~/.ros/embodied_active_learning/stopping"))
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results")
+    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "stopping")
     parser.add_argument("--keep", action="store_true", help="keep the checkpoints, about 1.5 GB for each world")
     options = parser.parse_args()
     root, results = options.root.expanduser(), options.results
