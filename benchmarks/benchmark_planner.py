@@ -19,8 +19,8 @@ from measuring import Row, Section, Turn, rows_of, run, take_turns, timed
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.controller import ErgodicController
+from embodied_active_learning.exploration.ergodic_objective import target_distribution
 from embodied_active_learning.exploration.kernel import workspace_coverage
-from embodied_active_learning.exploration.objective import target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.model.learner import Learner
 

@@ -18,7 +18,7 @@ from measuring import Row, Section, resident_memory, rows_of, run, single_precis
 from embodied_active_learning.config import Config
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.learner import Learner
-from embodied_active_learning.model.objective import PlainLoss
+from embodied_active_learning.model.loss import PlainLoss
 
 PLAIN = "plain network, autograd"
 CHOSEN = "as in the trainer"

@@ -118,12 +118,12 @@ def explore(
             states.append(simulation.pose)
             images.append(simulation.image())
             motion.observe(simulation.pose, simulation.velocity)
-            motion.assess(None)
+            motion.evaluate_step(None)
             search.observe(states[-1][None], images[-1][None])
             if len(states) >= min(due, most):
                 decisions = search.decide(np.stack(states), np.stack(images))
                 due = next_look(len(states), search.open_count)
-                motion.seek(search.open_places)
+                motion.set_open_places(search.open_places)
             command = motion.next_command()
             if isinstance(command, VelocityCommand):
                 simulation.move(command.velocity.tolist(), command.duration)

@@ -26,7 +26,7 @@ from embodied_active_learning.figures.curves import draw_curves
 from embodied_active_learning.sweep.comparison import compare_columns, group_records
 from embodied_active_learning.sweep.csv_files import read_rows
 from embodied_active_learning.sweep.record_figures import draw_record_metrics
-from embodied_active_learning.sweep.records import Record, has_record, load_record
+from embodied_active_learning.sweep.run_records import Record, has_record, load_record
 from embodied_active_learning.sweep.spec import load_sweep
 
 EXPERIMENTS = Path(__file__).resolve().parent

@@ -20,8 +20,8 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.controller import ErgodicController
+from embodied_active_learning.exploration.ergodic_objective import FLOOR, kl_ergodic, target_distribution
 from embodied_active_learning.exploration.kernel import CoverageKernel, kernel_variance
-from embodied_active_learning.exploration.objective import FLOOR, kl_ergodic, target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 
 CHECKPOINTS = (120, 200, 400)  # steps

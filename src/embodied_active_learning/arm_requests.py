@@ -1,7 +1,8 @@
-"""Validation of motion commands for simulated and real arms, before anything moves."""
+"""Motion commands of simulated and real arms: validation before anything moves, and the signal that ends them."""
 
 from __future__ import annotations
 
+import threading
 from numbers import Real
 from typing import List, Sequence
 
@@ -9,6 +10,28 @@ import numpy as np
 
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.workspace import STATE_NAMES, Workspace
+
+
+class StopSignal:
+    """Set when a node stops the arm during a command; checked by arms whose commands take time."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self._by = ""
+
+    @property
+    def by(self) -> str:
+        """Name of the node that stopped the arm."""
+        return self._by
+
+    def is_set(self) -> bool:
+        """Whether the command must end at once."""
+        return self._event.is_set()
+
+    def set(self, by: str) -> None:
+        """End the command on behalf of a node."""
+        self._by = by
+        self._event.set()
 
 
 def checked_velocity(velocity: Sequence[float]) -> List[float]:

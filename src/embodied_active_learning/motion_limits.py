@@ -21,14 +21,14 @@ _MIN_PERIOD, _MAX_PERIOD = 1e-6, 1.0  # s
 
 
 class LegalVelocity(NamedTuple):
-    """The velocity of one period (3,) [m/s, m/s, rad/s], and whether it was cut.
+    """The velocity of one period (3,) [m/s, m/s, rad/s], and whether it was limited.
 
-    It was cut if the speed limits or the workspace changed it noticeably, see MotionLimits.differ. A delay due to the
-    acceleration limit is not a cut.
+    It was limited if the speed limits or the workspace changed it noticeably, see MotionLimits.differ. A delay due to
+    the acceleration limit does not count.
     """
 
     velocity: Tuple[float, ...]
-    cut: bool
+    limited: bool
 
 
 class _Axis(NamedTuple):
@@ -83,13 +83,13 @@ class MotionLimits:
         """Limits of the workspace. (3,) [m, m, rad]."""
         return tuple(axis.upper for axis in self._axes)
 
-    def within(self, lower: Sequence[float], upper: Sequence[float]) -> MotionLimits:
+    def with_box(self, lower: Sequence[float], upper: Sequence[float]) -> MotionLimits:
         """Return the same limits of speed and acceleration in another box, (3,) [m, m, rad] each."""
         limits = MotionLimits.__new__(MotionLimits)
         limits._axes = [axis._replace(lower=low, upper=high) for axis, low, high in zip(self._axes, lower, upper)]
         return limits
 
-    def slowed(self, velocity: Sequence[float]) -> List[float]:
+    def clamp_speed(self, velocity: Sequence[float]) -> List[float]:
         """Scale a finite velocity (3,) down to the speed limits, keeping its direction."""
         largest = max(map(abs, velocity))
         if largest == 0.0:
@@ -101,7 +101,7 @@ class MotionLimits:
         return [_between(speed / largest / excess, axis.top_speed) for speed, axis in zip(velocity, self._axes)]
 
     def next_velocity(
-        self, pose: Sequence[float], previous: Sequence[float], wanted: Sequence[float], period: float
+        self, pose: Sequence[float], previous: Sequence[float], requested: Sequence[float], period: float
     ) -> LegalVelocity:
         """Return the legal velocity closest to the requested one for the next period.
 
@@ -109,16 +109,16 @@ class MotionLimits:
             pose: (3,) pose at the beginning of the period [m, m, rad]; preferably the commanded one, because close to
                 the border the noise of a measured pose becomes velocity.
             previous: (3,) velocity commanded for the previous period [m/s, m/s, rad/s].
-            wanted: (3,) requested velocity.
+            requested: (3,) requested velocity.
             period: Duration [s].
 
         Raises:
             CommandError: A number is not finite, or the period is outside 1e-6 to 1 s. The caller must then stop the
                 arm by other means.
         """
-        _check(pose, previous, wanted, period)
-        slowed = self.slowed(wanted)
-        cut = self.differ(slowed, wanted)
+        _check(pose, previous, requested, period)
+        slowed = self.clamp_speed(requested)
+        limited = self.differ(slowed, requested)
         legal = []
         for at, before, speed, axis in zip(pose, previous, slowed, self._axes):
             slowest = before - axis.acceleration * period
@@ -128,9 +128,9 @@ class MotionLimits:
                 max(reachable, -_speed_to_stop_in(at - axis.lower, axis, period)),
                 _speed_to_stop_in(axis.upper - at, axis, period),
             )
-            cut |= abs(inside - reachable) > axis.noticeable
+            limited |= abs(inside - reachable) > axis.noticeable
             legal.append(min(max(inside, slowest), fastest))
-        return LegalVelocity(tuple(legal), cut)
+        return LegalVelocity(tuple(legal), limited)
 
     def approach(self, pose: Sequence[float], target: Sequence[float], period: float) -> List[float]:
         """Return the velocity (3,) to request for the next period in order to go straight to a target and stop there.
@@ -143,11 +143,11 @@ class MotionLimits:
             period: Duration [s].
         """
         gaps = [goal - at for goal, at in zip(target, pose)]
-        shares = [
+        rates = [
             _speed_to_stop_in(abs(gap), axis, period) / abs(gap) for gap, axis in zip(gaps, self._axes) if gap != 0.0
         ]
-        share = min(shares, default=0.0)
-        return [_between(share * gap, axis.top_speed) for gap, axis in zip(gaps, self._axes)]
+        rate = min(rates, default=0.0)
+        return [_between(rate * gap, axis.top_speed) for gap, axis in zip(gaps, self._axes)]
 
     def differ(self, one: Sequence[float], other: Sequence[float]) -> bool:
         """Return whether two velocities (3,) differ by more than 1 % of the top speed on any axis."""
@@ -187,9 +187,9 @@ def _speed_to_stop_in(room: float, axis: _Axis, period: float) -> float:
     return math.copysign(min(speed, top), room)
 
 
-def _check(pose: Sequence[float], previous: Sequence[float], wanted: Sequence[float], period: float) -> None:
+def _check(pose: Sequence[float], previous: Sequence[float], requested: Sequence[float], period: float) -> None:
     axes = len(STATE_NAMES)
-    for name, values in (("pose", pose), ("previous velocity", previous), ("wanted velocity", wanted)):
+    for name, values in (("pose", pose), ("previous velocity", previous), ("requested velocity", requested)):
         try:
             usable = len(values) == axes and all(map(math.isfinite, values))
         except (TypeError, OverflowError):

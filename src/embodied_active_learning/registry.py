@@ -92,6 +92,6 @@ EXPLORERS = Registry(
 
 MEASURES = Registry(
     "information measure",
-    {"conditional_entropy": "embodied_active_learning.exploration.objective:target_distribution"},
+    {"conditional_entropy": "embodied_active_learning.exploration.ergodic_objective:target_distribution"},
 )
 """Values of exploration/measure: callables (log_std (S,), coverage k) -> target distribution (S,), sum 1."""

@@ -7,7 +7,7 @@ import pytest
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.controller import ErgodicController
-from embodied_active_learning.exploration.objective import flat_distribution, kl_ergodic, target_distribution
+from embodied_active_learning.exploration.ergodic_objective import flat_distribution, kl_ergodic, target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.rng import Stream
 

@@ -17,7 +17,7 @@ def target_of(visited=(), places=()):
     samples = WorkspaceSamples(CONFIG, WORKSPACE.normalise([[*place, 0.0] for place in visited]).reshape(-1, 3))
     samples.refresh()
     explorer = ActiveExplorer(CONFIG, 0)
-    explorer.seek(np.array(places))
+    explorer.set_open_places(np.array(places))
     return WORKSPACE.denormalise(samples.states)[:, :2], explorer.target(samples)
 
 

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
-from embodied_active_learning.exploration.objective import Barrier
+from embodied_active_learning.exploration.ergodic_objective import Barrier
 
 DYNAMICS = DoubleIntegrator.from_config(Config())
 BARRIER = Barrier.from_config(Config())

@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError
-from embodied_active_learning.exploration.objective import FLOOR, flat_distribution, kl_ergodic, target_distribution
+from embodied_active_learning.exploration.ergodic_objective import (
+    FLOOR,
+    flat_distribution,
+    kl_ergodic,
+    target_distribution,
+)
 
 WEIGHTS = arrays(np.float64, (30,), elements=st.floats(0, 1e6, allow_subnormal=False))
 

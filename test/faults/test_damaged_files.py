@@ -25,7 +25,7 @@ from embodied_active_learning.errors import (
     ObservationError,
     SessionError,
 )
-from embodied_active_learning.files import LARGEST_YAML, parse_yaml
+from embodied_active_learning.files import MAX_YAML_SIZE, parse_yaml
 from embodied_active_learning.session.array_files import read_arrays, write_arrays
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table
@@ -285,7 +285,7 @@ def test_canary_detects_execution(tmp_path):
         ("- a\n", "is a list, expected fields"),
         ("word\n", "is a str, expected fields"),
         ("# nothing\n", "is empty, expected fields"),
-        ("a: 1\n" + "#" * LARGEST_YAML, "bytes, at most 262144 are allowed"),
+        ("a: 1\n" + "#" * MAX_YAML_SIZE, "bytes, at most 262144 are allowed"),
     ],
 )
 def test_yaml_beyond_plain_data_is_rejected(kind, sample, text, complaint):

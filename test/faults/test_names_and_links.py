@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
-from embodied_active_learning.naming import LONGEST_NAME, check_name
+from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
 from embodied_active_learning.pipeline.identification import IdentificationRun, check_results, read_sets
-from embodied_active_learning.pipeline.resolve import resolve
+from embodied_active_learning.pipeline.resolve import parse_overrides, resolve_config
 from embodied_active_learning.session.fingerprinted import MOST_SESSIONS
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
@@ -159,9 +159,9 @@ def test_generated_names_are_valid(tmp_path):
         "session/root": tmp_path, "simulation/world": world, "exploration/seed": 2**31 - 1,
         "exploration/explorer": "uniform_ergodic",
     }  # fmt: skip
-    name = resolve("demo", [f"{key}={value}" for key, value in given_.items()]).session.name
+    name = resolve_config("demo", parse_overrides([f"{key}={value}" for key, value in given_.items()])).session.name
     assert check_name(name).startswith("my-table-2")
-    assert len(name) <= LONGEST_NAME
+    assert len(name) <= MAX_NAME_LENGTH
 
 
 @pytest.mark.parametrize("root", ["~nobody-of-that-name/x", "a\x00b"])
@@ -183,4 +183,4 @@ def test_unwritable_root_is_rejected(root):
 def test_invalid_world_or_profile_path_is_rejected(tmp_path, world):
     for profile, overrides in (("demo", [f"simulation/world={world}"]), (world, [])):
         with pytest.raises(EmbodiedActiveLearningError):
-            resolve(profile, [f"session/root={tmp_path}", "session/name=a", *overrides])
+            resolve_config(profile, parse_overrides([f"session/root={tmp_path}", "session/name=a", *overrides]))

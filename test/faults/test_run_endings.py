@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 import yaml
 
-from embodied_active_learning.pipeline.resolve import resolve
+from embodied_active_learning.pipeline.resolve import resolve_config
 from embodied_active_learning.session.checkpoints import load_latest
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
@@ -188,4 +188,4 @@ def test_z_interrupted_run_leaves_checkpoint_and_no_processes(run):
     assert run.last_update == run.checkpoint.counters["updates"] > 0
     assert len(Session.open_read_only(run.path).open_observations()) >= run.steps > 80
     # The session is unlocked and can be resumed.
-    resolve("", [f"session/root={run.path.parent}", "session/name=run", "session/resume=true"])
+    resolve_config("", {"session": {"root": str(run.path.parent), "name": "run", "resume": True}})

@@ -71,7 +71,7 @@ class Loop:
         """Run a command of the driver to its end -> its result, and the time it took."""
         results, started_at = [], self.now
         thread = in_a_thread(lambda: results.append(command(*arguments, NeverStopped())))
-        wait_for(lambda: type(self.driver._motion).__name__ != "Motion" or not thread.is_alive())
+        wait_for(lambda: type(self.driver._motion).__name__ != "SetPointMotion" or not thread.is_alive())
         while thread.is_alive() and self.now < started_at + 60.0:
             self.passes(TICK)
             thread.join(1e-3)

@@ -362,5 +362,5 @@ def test_pushed_arm_pulls_set_point_along():
         x, y, theta = lab.pose.planar
         lab.pose = lab.pose._replace(planar=(x, y + 0.003, theta))
         lab.passes(PERIOD)
-    assert lab.driver.pulls == 1
+    assert lab.driver.displacements == 1
     assert lab.driver.lead()[0] == pytest.approx(CONFIG.franka.max_lead, abs=0.004)

@@ -80,7 +80,7 @@ class Lab:
                 outcome.append(error)
 
         thread = in_a_thread(run)
-        wait_for(lambda: outcome or type(self.driver._motion).__name__ != "Motion")
+        wait_for(lambda: outcome or type(self.driver._motion).__name__ != "SetPointMotion")
         return thread, outcome
 
     def runs(self, command, *arguments):

@@ -1,4 +1,4 @@
-"""No velocity that is wanted takes an arm over its limits of speed, acceleration and workspace."""
+"""No velocity that is requested takes an arm over its limits of speed, acceleration and workspace."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROUNDING = 1e-9  # of a limit
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 sensible = st.floats(-2.0, 2.0)
-wanted_velocities = st.lists(st.one_of(sensible, finite), min_size=3, max_size=3)
+requested_velocities = st.lists(st.one_of(sensible, finite), min_size=3, max_size=3)
 absurd = st.sampled_from([math.nan, math.inf, -math.inf, None, "1", 10**400])
 
 
@@ -46,16 +46,18 @@ def limits():
     return MotionLimits.from_config(CONFIG)
 
 
-def follow(limits, pose, velocity, wanted, period, ticks):
+def follow(limits, pose, velocity, requested, period, ticks):
     """Yields poses and velocities (3,) of an arm that does exactly as it may."""
     for _ in range(ticks):
-        velocity = limits.next_velocity(pose, velocity, wanted, period).velocity
+        velocity = limits.next_velocity(pose, velocity, requested, period).velocity
         pose = [at + period * speed for at, speed in zip(pose, velocity)]
         yield pose, velocity
 
 
 @given(
-    case=limits_and_poses(), legs=st.lists(st.tuples(wanted_velocities, st.integers(1, 60)), max_size=6), data=st.data()
+    case=limits_and_poses(),
+    legs=st.lists(st.tuples(requested_velocities, st.integers(1, 60)), max_size=6),
+    data=st.data(),
 )
 @settings(max_examples=150, deadline=None)
 def test_no_request_exceeds_a_limit(case, legs, data):
@@ -63,9 +65,9 @@ def test_no_request_exceeds_a_limit(case, legs, data):
     period = data.draw(st.floats(1e-3, 0.1))
     velocity = REST
 
-    def hold(wanted, ticks):
+    def hold(requested, ticks):
         nonlocal pose, velocity
-        for next_pose, next_velocity in follow(limits, pose, velocity, wanted, period, ticks):
+        for next_pose, next_velocity in follow(limits, pose, velocity, requested, period, ticks):
             change = np.abs(np.subtract(next_velocity, velocity))
             assert np.all(change <= (1.0 + ROUNDING) * period * accelerations)
             assert np.all(np.abs(next_velocity) <= tops)
@@ -73,8 +75,8 @@ def test_no_request_exceeds_a_limit(case, legs, data):
             assert np.all(next_pose <= np.array(limits.upper) + ROUNDING)
             pose, velocity = next_pose, next_velocity
 
-    for wanted, ticks in legs:
-        hold(wanted, ticks)
+    for requested, ticks in legs:
+        hold(requested, ticks)
     hold(REST, math.ceil(limits.braking_time(velocity) / period) + 1)
     np.testing.assert_allclose(velocity, REST, atol=1e-6)
 
@@ -82,13 +84,13 @@ def test_no_request_exceeds_a_limit(case, legs, data):
 @given(
     pose=st.lists(finite, min_size=3, max_size=3),
     previous=st.lists(finite, min_size=3, max_size=3),
-    wanted=wanted_velocities,
+    requested=requested_velocities,
     period=st.floats(1e-6, 1.0),
 )
 @settings(max_examples=500, deadline=None)
-def test_velocity_does_not_jump_from_absurd_state(pose, previous, wanted, period):
+def test_velocity_does_not_jump_from_absurd_state(pose, previous, requested, period):
     limits = MotionLimits.from_config(CONFIG)
-    velocity = np.array(limits.next_velocity(pose, previous, wanted, period).velocity)
+    velocity = np.array(limits.next_velocity(pose, previous, requested, period).velocity)
     reachable = period * ACCELERATION + ROUNDING + 1e-15 * np.abs(previous)
     assert np.all(np.abs(velocity - previous) <= np.nextafter(reachable, np.inf))
     assert np.all(np.abs(velocity) <= np.maximum(TOP, np.abs(previous)))
@@ -100,9 +102,9 @@ def test_velocity_does_not_jump_from_absurd_state(pose, previous, wanted, period
 def test_arm_returns_from_outside_the_workspace(limits, side, outwards, distance):
     border = UPPER if side > 0.0 else LOWER
     pose, velocity = border + side * distance, outwards * side * TOP
-    wanted = side * TOP
+    requested = side * TOP
     allowed = limits.braking_time(velocity) + limits.travel_time(pose + side * TOP**2 / ACCELERATION, border)
-    steps = list(follow(limits, pose, velocity, wanted, PERIOD, math.ceil(allowed / PERIOD) + 2))
+    steps = list(follow(limits, pose, velocity, requested, PERIOD, math.ceil(allowed / PERIOD) + 2))
     speeds = np.array([velocity, *(velocity for _, velocity in steps)])
     assert np.all(np.abs(np.diff(speeds, axis=0)) <= (1.0 + ROUNDING) * PERIOD * ACCELERATION)
     assert np.all(np.abs(speeds) <= TOP)
@@ -115,15 +117,15 @@ def test_arm_with_deviations_stays_inside(limits):
     generator = np.random.default_rng(0)
     stray = np.array([2e-6, 2e-6, 2e-5])  # per period: more than that of the simulated arm at full speed
     limits = MotionLimits.from_config(CONFIG, margin=3e-4)
-    for wanted in itertools.product(*zip(-TOP, TOP)):
+    for requested in itertools.product(*zip(-TOP, TOP)):
         pose, velocity = BOX.centre, REST
         for _ in range(1000):
-            next_velocity = limits.next_velocity(pose, velocity, wanted, PERIOD).velocity
+            next_velocity = limits.next_velocity(pose, velocity, requested, PERIOD).velocity
             assert np.all(np.abs(np.subtract(next_velocity, velocity)) <= (1.0 + ROUNDING) * PERIOD * ACCELERATION)
             velocity = next_velocity
             pose = pose + PERIOD * np.array(velocity) + stray * generator.uniform(-1.0, 1.0, 3)
             assert BOX.contains(pose)
-        np.testing.assert_allclose(BOX.normalise(pose), np.sign(wanted), atol=1e-3)
+        np.testing.assert_allclose(BOX.normalise(pose), np.sign(requested), atol=1e-3)
 
 
 def test_braking_starts_at_braking_distance():
@@ -134,26 +136,28 @@ def test_braking_starts_at_braking_distance():
     np.testing.assert_allclose([pose[0] for pose, _ in steps], [0.91, 1.0, 1.0, 1.0], atol=1e-12)
 
 
-@pytest.mark.parametrize(("wanted", "ticks"), [((0.1, -0.15, 1.5), 36), ((0.052, 0.0, 0.3), 11), ((0.0, 0.0, 0.0), 1)])
-def test_legal_velocity_is_reached_at_full_acceleration(limits, wanted, ticks):
-    velocities = [velocity for _, velocity in follow(limits, BOX.centre, REST, wanted, PERIOD, ticks)]
-    assert velocities[-1] == wanted
-    assert all(velocity != wanted for velocity in velocities[:-1])
+@pytest.mark.parametrize(
+    ("requested", "ticks"), [((0.1, -0.15, 1.5), 36), ((0.052, 0.0, 0.3), 11), ((0.0, 0.0, 0.0), 1)]
+)
+def test_legal_velocity_is_reached_at_full_acceleration(limits, requested, ticks):
+    velocities = [velocity for _, velocity in follow(limits, BOX.centre, REST, requested, PERIOD, ticks)]
+    assert velocities[-1] == requested
+    assert all(velocity != requested for velocity in velocities[:-1])
 
 
 def test_only_speed_limit_and_border_count_as_cut(limits):
     centre = BOX.centre.tolist()
-    assert not limits.next_velocity(centre, REST, TOP, PERIOD).cut
-    assert limits.next_velocity(centre, REST, 1.02 * TOP, PERIOD).cut
-    assert limits.next_velocity(BOX.upper, REST, (0.05, 0.0, 0.0), PERIOD).cut
-    assert not limits.next_velocity(BOX.upper, REST, (-0.05, 0.0, 0.0), PERIOD).cut
-    assert not limits.next_velocity(np.array(BOX.upper) + 1e-7, REST, REST, PERIOD).cut
+    assert not limits.next_velocity(centre, REST, TOP, PERIOD).limited
+    assert limits.next_velocity(centre, REST, 1.02 * TOP, PERIOD).limited
+    assert limits.next_velocity(BOX.upper, REST, (0.05, 0.0, 0.0), PERIOD).limited
+    assert not limits.next_velocity(BOX.upper, REST, (-0.05, 0.0, 0.0), PERIOD).limited
+    assert not limits.next_velocity(np.array(BOX.upper) + 1e-7, REST, REST, PERIOD).limited
 
 
-@given(velocity=wanted_velocities)
+@given(velocity=requested_velocities)
 @settings(max_examples=300, deadline=None)
 def test_velocity_above_limits_keeps_direction(velocity):
-    slowed = MotionLimits.from_config(CONFIG).slowed(velocity)
+    slowed = MotionLimits.from_config(CONFIG).clamp_speed(velocity)
     if np.all(np.abs(velocity) <= TOP):
         assert slowed == velocity
     else:
@@ -183,15 +187,15 @@ def test_approach_arrives_without_overshoot(starts, goals):
 def test_non_finite_number_is_rejected(place, value, axis):
     values = [BOX.centre.tolist(), list(REST), list(REST)]
     values[place][axis] = value
-    name = ("pose", "previous velocity", "wanted velocity")[place]
+    name = ("pose", "previous velocity", "requested velocity")[place]
     with pytest.raises(CommandError, match=f"^invalid {name} "):
         MotionLimits.from_config(CONFIG).next_velocity(*values, PERIOD)
 
 
-@pytest.mark.parametrize("wanted", [(), (0.1, 0.1), (0.1, 0.1, 0.1, 0.1), None, 0.1])
-def test_velocity_of_wrong_length_is_rejected(limits, wanted):
-    with pytest.raises(CommandError, match=r"invalid wanted velocity .*: expected 3 finite numbers"):
-        limits.next_velocity(BOX.centre, REST, wanted, PERIOD)
+@pytest.mark.parametrize("requested", [(), (0.1, 0.1), (0.1, 0.1, 0.1, 0.1), None, 0.1])
+def test_velocity_of_wrong_length_is_rejected(limits, requested):
+    with pytest.raises(CommandError, match=r"invalid requested velocity .*: expected 3 finite numbers"):
+        limits.next_velocity(BOX.centre, REST, requested, PERIOD)
 
 
 @pytest.mark.parametrize("period", [0.0, -0.01, 1e-9, 1.5, math.nan, math.inf])

@@ -13,7 +13,7 @@ from embodied_active_learning.model import build
 from embodied_active_learning.model.build import choose_device, choose_loss
 from embodied_active_learning.model.checkpoint import LearnerState
 from embodied_active_learning.model.learner import DivergenceError, Learner
-from embodied_active_learning.model.objective import PlainLoss
+from embodied_active_learning.model.loss import PlainLoss
 
 SMALL = {
     "camera": {"width": 45, "height": 45},

@@ -8,8 +8,8 @@ from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.batches import BatchReader
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.inference import TorchInference, make_inference
+from embodied_active_learning.model.loss import Batch
 from embodied_active_learning.model.metrics import active_units, evaluate_model, reconstruction_error
-from embodied_active_learning.model.objective import Batch
 
 
 def test_active_units_use_the_unbiased_variance():

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model import build
+from embodied_active_learning.model.loss import Batch, PlainLoss
 from embodied_active_learning.model.native.library import LoadedKernels, load_kernels
 from embodied_active_learning.model.native.loss import NativeLoss
-from embodied_active_learning.model.objective import Batch, PlainLoss
 from loss_cases import make_case
 
 KERNELS, DESCRIPTION = load_kernels()

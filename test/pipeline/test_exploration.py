@@ -14,13 +14,13 @@ def configured(explorer="ergodic", **exploration):
 
 
 def drive(run, config, steps, log_std=None):
-    """Let an exact arm execute the run's commands; return the assessments."""
+    """Let an exact arm execute the run's commands; return the metrics."""
     state = np.array(config.simulation.start)
     velocity = np.zeros(3)
-    assessments = []
+    metrics = []
     for _ in range(steps):
         run.observe(state, velocity)
-        assessments.append(run.assess(None if log_std is None else log_std(run.sample_states)))
+        metrics.append(run.evaluate_step(None if log_std is None else log_std(run.sample_states)))
         command = run.next_command()
         if isinstance(command, VelocityCommand):
             velocity = command.velocity
@@ -28,18 +28,18 @@ def drive(run, config, steps, log_std=None):
         else:
             state, velocity = command.state, np.zeros(3)
         assert config.workspace.box().contains(state, tolerance=1e-9)
-    return assessments
+    return metrics
 
 
 @pytest.mark.parametrize("explorer", ["ergodic", "random_walk", "uniform", "uniform_ergodic", "active"])
 def test_explorers_increase_coverage(explorer):
     config = configured(explorer)
-    assessments = drive(ExplorationRun(config), config, 60)
-    assert assessments[-1].step == 60
-    assert assessments[-1].coverage > assessments[0].coverage
-    assert assessments[-1].ergodic_measure < assessments[0].ergodic_measure
-    assert assessments[-1].distance > 0.1
-    assert assessments[-1].turning > 0.1
+    metrics = drive(ExplorationRun(config), config, 60)
+    assert metrics[-1].step == 60
+    assert metrics[-1].coverage > metrics[0].coverage
+    assert metrics[-1].ergodic_measure < metrics[0].ergodic_measure
+    assert metrics[-1].distance > 0.1
+    assert metrics[-1].turning > 0.1
 
 
 def test_distance_and_turning_sum_state_changes():
@@ -47,20 +47,20 @@ def test_distance_and_turning_sum_state_changes():
     run = ExplorationRun(config)
     for state in ([0.4, 0.0, 0.0], [0.43, 0.04, -0.5], [0.43, 0.04, 0.5]):
         run.observe(np.array(state), np.zeros(3))
-    assessment = run.assess(None)
-    assert assessment.distance == pytest.approx(0.05)
-    assert assessment.turning == pytest.approx(1.5)
+    metrics = run.evaluate_step(None)
+    assert metrics.distance == pytest.approx(0.05)
+    assert metrics.turning == pytest.approx(1.5)
 
 
 def test_effort_integrates_squared_acceleration():
     config = configured()
     run = ExplorationRun(config)
     run.observe(np.array(config.simulation.start), np.zeros(3))
-    run.assess(None)
+    run.evaluate_step(None)
     velocity = run.next_command().velocity
     run.observe(np.array(config.simulation.start) + 0.2 * velocity, velocity)
     expected = np.sum((velocity / np.array([0.15, 0.15, 2.0]) / 0.2) ** 2) * 0.2
-    assert run.assess(None).effort == pytest.approx(expected)
+    assert run.evaluate_step(None).effort == pytest.approx(expected)
 
 
 def test_effort_nan_for_pose_commands():
@@ -74,10 +74,10 @@ def test_target_flat_at_first_then_peaks_at_uncertainty():
     config = configured()
     run = ExplorationRun(config)
     run.observe(np.array(config.simulation.start), np.zeros(3))
-    assert np.ptp(run.assess(None).target) == 0.0
+    assert np.ptp(run.evaluate_step(None).target) == 0.0
     corner = np.array([0.6, 0.12])
     distance = np.linalg.norm(run.sample_states[:, :2] - corner, axis=1)
-    target = run.assess(-10.0 * distance).target
+    target = run.evaluate_step(-10.0 * distance).target
     assert np.argmax(target) == np.argmin(distance)
     assert target.sum() == pytest.approx(1.0)
 
@@ -87,7 +87,7 @@ def test_diverged_model_rejected():
     run = ExplorationRun(config)
     run.observe(np.array(config.simulation.start), np.zeros(3))
     with pytest.raises(EmbodiedActiveLearningError, match="diverged"):
-        run.assess(np.full(200, np.nan))
+        run.evaluate_step(np.full(200, np.nan))
 
 
 def test_run_resumed_from_trajectory_continues_metrics():
@@ -96,7 +96,7 @@ def test_run_resumed_from_trajectory_continues_metrics():
     last = drive(whole, config, 30)[-1]
     resumed = ExplorationRun(config, whole.travelled_states[:-1], effort=last.effort)
     resumed.observe(whole.travelled_states[-1], np.zeros(3))
-    again = resumed.assess(None)
+    again = resumed.evaluate_step(None)
     assert again.step == last.step
     assert again.distance == pytest.approx(last.distance)
     assert again.turning == pytest.approx(last.turning)
@@ -118,10 +118,10 @@ def test_run_with_loaded_state_is_bit_identical(explorer):
         runs = [whole] if resumed is None else [whole, resumed]
         for run in runs:
             run.observe(state, velocity)
-        assessments = [run.assess(np.sin(5.0 * run.sample_states).sum(axis=1)) for run in runs]
+        metrics = [run.evaluate_step(np.sin(5.0 * run.sample_states).sum(axis=1)) for run in runs]
         commands = [run.next_command() for run in runs]
         assert len(set(commands)) == 1
-        assert len({(a.coverage, a.ergodic_measure, a.distance, a.turning, str(a.effort)) for a in assessments}) == 1
+        assert len({(a.coverage, a.ergodic_measure, a.distance, a.turning, str(a.effort)) for a in metrics}) == 1
         np.testing.assert_array_equal(runs[0].sample_states, runs[-1].sample_states)
         command = commands[0]
         if isinstance(command, VelocityCommand):
@@ -155,6 +155,6 @@ def test_plan_after_interruption_starts_at_rest():
     drive(run, config, 20)
     run.interrupt()
     run.observe(np.array(config.simulation.start), np.zeros(3))
-    run.assess(None)
+    run.evaluate_step(None)
     first = np.abs(run.next_command().velocity)
     assert np.all(first <= np.array([0.15 / 1.25, 0.15 / 1.25, 1.5 / 0.625]) * 0.2 + 1e-9)

@@ -3,13 +3,17 @@
 import pytest
 
 from embodied_active_learning.errors import ConfigError, SessionError, WorldError
-from embodied_active_learning.pipeline.resolve import check_bringup, resolve
+from embodied_active_learning.pipeline.resolve import check_bringup, parse_overrides, resolve_config
 from embodied_active_learning.session.session import Session
 
 
 def override(root, **values):
     given = {"session/root": root, "session/name": "run", **{key.replace("__", "/"): v for key, v in values.items()}}
     return [f"{key}={value}" for key, value in given.items()]
+
+
+def resolve(profile, overrides, robot_profile="", needs_arm=True):
+    return resolve_config(profile, parse_overrides(overrides), robot_profile, needs_arm=needs_arm)
 
 
 def test_automatic_steps_stand_for_the_stopping_criterion(tmp_path):

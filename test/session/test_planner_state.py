@@ -16,7 +16,7 @@ from embodied_active_learning.session.planner_state import PlannerState, load_pl
 def memory():
     run = ExplorationRun(Config.from_dict({"exploration": {"samples": 50, "fresh_samples": 5}}))
     run.observe(np.array([0.475, 0.0, 0.0]), np.zeros(3))
-    run.assess(None)
+    run.evaluate_step(None)
     run.next_command()
     state, velocity = np.array([0.4, 0.1, 0.2]), np.array([0.1, 0.0, np.pi])
     return PlannerState(1, (12, 345), state, velocity, run.state_dict())

@@ -13,15 +13,15 @@ UPRIGHT = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # Rx(pi)
 
 
 def test_legal_joint_velocities_are_unchanged():
-    assert servo.share_within_limits(0.9 * servo.JOINT_LIMITS[:, 2], MIDDLE, PERIOD) == 1.0
-    assert servo.share_within_limits(np.zeros(7), MIDDLE, PERIOD) == 1.0
+    assert servo.scale_within_limits(0.9 * servo.JOINT_LIMITS[:, 2], MIDDLE, PERIOD) == 1.0
+    assert servo.scale_within_limits(np.zeros(7), MIDDLE, PERIOD) == 1.0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_fastest_joint_slows_all_joints(sign):
     factors = np.array([0.1, 2.0, 0.5, 4.0, 1.0, 3.0, 0.0])
-    share = servo.share_within_limits(sign * factors * servo.JOINT_LIMITS[:, 2], MIDDLE, PERIOD)
-    assert share == pytest.approx(0.25)
+    scale = servo.scale_within_limits(sign * factors * servo.JOINT_LIMITS[:, 2], MIDDLE, PERIOD)
+    assert scale == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(("limit", "direction"), [(0, -1.0), (1, 1.0)])
@@ -29,16 +29,16 @@ def test_joint_stops_at_its_limit_within_one_period(limit, direction):
     joints, velocities = MIDDLE.copy(), np.zeros(7)
     joints[2] = servo.JOINT_LIMITS[2, limit] - direction * 0.002
     velocities[2] = direction * 0.8
-    assert servo.share_within_limits(velocities, joints, PERIOD) == pytest.approx(0.002 / PERIOD / 0.8)
-    assert servo.share_within_limits(-velocities, joints, PERIOD) == 1.0
+    assert servo.scale_within_limits(velocities, joints, PERIOD) == pytest.approx(0.002 / PERIOD / 0.8)
+    assert servo.scale_within_limits(-velocities, joints, PERIOD) == 1.0
 
 
 def test_joint_beyond_limit_may_only_return():
     joints, velocities = MIDDLE.copy(), np.zeros(7)
     joints[0] = servo.JOINT_LIMITS[0, 1] + 1e-4
     velocities[0] = 0.1
-    assert servo.share_within_limits(velocities, joints, PERIOD) == 0.0
-    assert servo.share_within_limits(-velocities, joints, PERIOD) == 1.0
+    assert servo.scale_within_limits(velocities, joints, PERIOD) == 0.0
+    assert servo.scale_within_limits(-velocities, joints, PERIOD) == 1.0
 
 
 def test_low_camera_climbs_without_turning():

@@ -3,7 +3,7 @@
 import torch
 
 from embodied_active_learning.model.cvae import ConditionalVAE
-from embodied_active_learning.model.objective import Batch
+from embodied_active_learning.model.loss import Batch
 
 
 def make_case(image_size, config, size, dtype=torch.float32):

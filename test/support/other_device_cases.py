@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from embodied_active_learning.model import learner
-from embodied_active_learning.model.objective import PlainLoss
+from embodied_active_learning.model.loss import PlainLoss
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.checkpoints import load_latest
 from other_device import NAME

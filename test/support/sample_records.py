@@ -7,7 +7,7 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.session.summary import Summary
 from embodied_active_learning.session.tables import COLUMNS
-from embodied_active_learning.sweep.records import Record
+from embodied_active_learning.sweep.run_records import Record
 
 
 def make_record(name, explorer, level, steps=100):

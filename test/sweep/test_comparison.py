@@ -13,7 +13,7 @@ from embodied_active_learning.sweep.compare import main
 from embodied_active_learning.sweep.comparison import bootstrap_mean, compare_columns, group_records, load_records
 from embodied_active_learning.sweep.csv_files import read_rows, write_rows
 from embodied_active_learning.sweep.record_figures import render_top_view
-from embodied_active_learning.sweep.records import load_record, write_record
+from embodied_active_learning.sweep.run_records import load_record, write_record
 from sample_records import make_record
 
 RECORDS = [make_record("a", "ergodic", 1.0), make_record("b", "ergodic", 3.0), make_record("c", "uniform", 5.0)]

@@ -15,7 +15,7 @@ from embodied_active_learning.sweep import jobs as sweep_jobs
 from embodied_active_learning.sweep import runner
 from embodied_active_learning.sweep.__main__ import main
 from embodied_active_learning.sweep.jobs import Job
-from embodied_active_learning.sweep.records import has_record, load_record
+from embodied_active_learning.sweep.run_records import has_record, load_record
 from embodied_active_learning.sweep.runner import make_runs, total_progress
 from embodied_active_learning.sweep.spec import load_sweep
 from tiny import STEPS, TINY

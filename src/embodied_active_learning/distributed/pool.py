@@ -23,7 +23,7 @@ from embodied_active_learning.distributed.messages import (
     empty_answer,
     ticket_name,
 )
-from embodied_active_learning.model.batches import Observations
+from embodied_active_learning.model.batches import ObservationSource
 from embodied_active_learning.model.learner import Learner
 
 LOG = logging.getLogger(__name__)
@@ -94,7 +94,7 @@ class Worker:
         self.rollbacks: Optional[int] = None
         self.dropped = False
 
-    def send_observations(self, store: Observations, limit: int) -> bool:
+    def send_observations(self, store: ObservationSource, limit: int) -> bool:
         """Send at most CHUNK of the first `limit` observations that the worker lacks -> whether it still lacks some."""
         first, last = self._observations, min(limit, self._observations + CHUNK)
         if last > first:
@@ -138,7 +138,7 @@ class Worker:
 class WorkerPool:
     """The workers of a run. One thread calls make_round(); any may call status()."""
 
-    def __init__(self, config: Config, store: Observations, address: str) -> None:
+    def __init__(self, config: Config, store: ObservationSource, address: str) -> None:
         """Listen for workers.
 
         Args:

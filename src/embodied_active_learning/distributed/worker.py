@@ -29,7 +29,7 @@ LOG = logging.getLogger(__name__)
 
 
 class MemoryStore:
-    """Observations in memory (see model.batches.Observations)."""
+    """Observations in memory (see model.batches.ObservationSource)."""
 
     def __init__(self, config: Config) -> None:
         shape = (config.camera.height, config.camera.width, 3)

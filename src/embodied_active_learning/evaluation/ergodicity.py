@@ -11,7 +11,7 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import VelocityCommand
-from embodied_active_learning.exploration.objective import target_distribution
+from embodied_active_learning.exploration.ergodic_objective import target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.images import spread_indices
 from embodied_active_learning.model.trained_model import TrainedModel

@@ -13,7 +13,7 @@ from embodied_active_learning.files import FileReader
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.session.atomic import write_text
 from embodied_active_learning.sweep.comparison import bootstrap_mean
-from embodied_active_learning.sweep.records import Record
+from embodied_active_learning.sweep.run_records import Record
 
 _READER = FileReader(CorruptFileError, "restore it")
 _LAST_STEPS = 50

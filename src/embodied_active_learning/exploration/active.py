@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.controller import ErgodicController
-from embodied_active_learning.exploration.objective import normalise
+from embodied_active_learning.exploration.ergodic_objective import normalise
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.geometry import metres_per_pixel
 
@@ -40,7 +40,7 @@ class ActiveExplorer(ErgodicController):
         self._cells = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         self._places: np.ndarray = np.empty((0, 2))
 
-    def seek(self, places: np.ndarray) -> None:
+    def set_open_places(self, places: np.ndarray) -> None:
         """See Explorer. A place outside the workspace is viewed from the nearest state inside."""
         self._places = np.clip(np.reshape(places, (-1, 2)), self._workspace.lower[:2], self._workspace.upper[:2])
 

@@ -10,8 +10,8 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
 from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
+from embodied_active_learning.exploration.ergodic_objective import flat_distribution
 from embodied_active_learning.exploration.explorer import Explorer
-from embodied_active_learning.exploration.objective import flat_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.rng import Stream, generator, generator_state, set_generator_state
 from embodied_active_learning.state_dict import StateDict, matching_arrays

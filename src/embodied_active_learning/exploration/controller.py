@@ -11,8 +11,8 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator, Rollout
+from embodied_active_learning.exploration.ergodic_objective import Barrier, ErgodicObjective
 from embodied_active_learning.exploration.explorer import Explorer
-from embodied_active_learning.exploration.objective import Barrier, ErgodicObjective
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.rng import Stream, generator, generator_state, set_generator_state
 from embodied_active_learning.state_dict import StateDict, matching_arrays

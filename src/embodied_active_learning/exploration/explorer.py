@@ -31,8 +31,8 @@ class Explorer(ABC):
     def next_command(self, target: np.ndarray, samples: WorkspaceSamples) -> Command:
         """Return the next motion for a target distribution (S,) over the workspace samples."""
 
-    def seek(self, places: np.ndarray) -> None:  # noqa: B027 - most explorers have no use for it
-        """Report the places (P, 2) [m] about which an identification needs more views; ignored by default."""
+    def set_open_places(self, places: np.ndarray) -> None:  # noqa: B027 - most explorers have no use for it
+        """Set the places (P, 2) [m] about which an identification needs more views; ignored by default."""
 
     @abstractmethod
     def reset(self) -> None:

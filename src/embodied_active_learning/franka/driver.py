@@ -14,7 +14,7 @@ from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.arm_requests import checked_duration, checked_pose, checked_velocity
+from embodied_active_learning.arm_requests import StopSignal, checked_duration, checked_pose, checked_velocity
 from embodied_active_learning.config import Config, FrankaConfig
 from embodied_active_learning.errors import (
     ArmFailedError,
@@ -23,7 +23,7 @@ from embodied_active_learning.errors import (
     ObservationError,
 )
 from embodied_active_learning.franka.explanation import why_not_ready
-from embodied_active_learning.franka.motions import GoTo, Motion, Move, Retreat, StopSignal
+from embodied_active_learning.franka.motions import GoTo, Move, Retreat, SetPointMotion
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.readiness import Readiness
 from embodied_active_learning.franka.report import Condition, Report
@@ -60,9 +60,17 @@ class FrankaDriver:
         clock: Callable[[], float] = time.monotonic,
         readiness: Optional[Readiness] = None,
         explain: Callable[[Readiness, FrankaConfig], str] = why_not_ready,
-        stopping: Callable[[], Motion] = Retreat,
+        stopping: Callable[[], SetPointMotion] = Retreat,
     ) -> None:
-        """Readiness, explain (why not ready) and stopping: of another interface than franka_ros. clock: in s."""
+        """Create the driver. The last three arguments differ for another interface than franka_ros.
+
+        Args:
+            config: The configuration.
+            clock: Returns the time [s].
+            readiness: Evaluates whether the robot is ready; None creates a Readiness.
+            explain: Returns why the robot is not ready.
+            stopping: Creates the motion that brings the arm to rest.
+        """
         self._config = config
         self._clock = clock
         self._mount = CameraMount.from_config(config)
@@ -76,11 +84,11 @@ class FrankaDriver:
         self._received_at: Optional[float] = None
         self._stamp = 0.0
         self._jump = ""
-        self._motion = Motion()
+        self._motion = SetPointMotion()
         self._ticked_at = clock()
-        self._pulled = False
+        self._displaced = False
         self.jumps = 0
-        self.pulls = 0
+        self.displacements = 0
 
     @property
     def readiness(self) -> Readiness:
@@ -167,16 +175,16 @@ class FrankaDriver:
             ArmNotReadyError, ArmStoppedError: The robot accepts no command.
             ArmFailedError, ArmStoppedError: The motion was aborted.
         """
-        wanted = checked_velocity(velocity)
+        requested = checked_velocity(velocity)
         duration = checked_duration(duration, self._config.arm.max_duration)
         with self._changed:
             ends_at = self._clock() + duration
-            motion = Move(wanted, ends_at + self._config.franka.coast, self._clock)
+            motion = Move(requested, ends_at + self._config.franka.coast, self._clock)
             self._begin(motion)
             while self._clock() < ends_at:
                 self._wait(motion, stop, ends_at)
             limits = self._stream.limits
-            limited = motion.limited or limits.differ(self._stream.velocity, limits.slowed(wanted))
+            limited = motion.limited or limits.differ(self._stream.velocity, limits.clamp_speed(requested))
             return self._reached(limited)
 
     def go_to(self, pose: Sequence[float], stop: StopSignal) -> Reached:
@@ -198,9 +206,9 @@ class FrankaDriver:
             while not self._has_arrived(target):
                 self._wait(motion, stop, deadline)
                 if self._clock() >= deadline:
-                    self._motion = Motion()
+                    self._motion = SetPointMotion()
                     raise ArmFailedError(self._why_not_reached(target, timeout))
-            self._motion = Motion()
+            self._motion = SetPointMotion()
             return self._reached(False)
 
     def stop(self) -> Reached:
@@ -214,7 +222,7 @@ class FrankaDriver:
                 self._wait_for_rest()
             finally:
                 if self._motion is motion:  # a set-point that kept following the arm would let it drift anywhere
-                    self._motion = Motion()
+                    self._motion = SetPointMotion()
             return self._reached(False)
 
     def wait_until_ready(self, timeout: float) -> bool:
@@ -251,7 +259,7 @@ class FrankaDriver:
                 "recoveries": readiness.recoveries,
                 "consecutive recoveries": readiness.consecutive_recoveries,
                 "set-point lead [m, rad]": "-" if lead is None else f"{lead[0]:.3f}, {lead[1]:.2f}",
-                "set-point pulled by the arm": self.pulls,
+                "arm displacements beyond franka/max_lead": self.displacements,
                 "pose jumps": self.jumps,
             }
 
@@ -287,9 +295,9 @@ class FrankaDriver:
         if self._stream.set_point is None:
             self._stream.begin(measured)
         elif period > 0.0:
-            pulled = self._motion.step(self._stream, measured, period).pulled
-            self.pulls += pulled and not self._pulled
-            self._pulled = pulled
+            displaced = self._motion.step(self._stream, measured, period).displaced
+            self.displacements += displaced and not self._displaced
+            self._displaced = displaced
         return self._stream.set_point
 
     def _update_readiness(self) -> Readiness:
@@ -301,7 +309,7 @@ class FrankaDriver:
     def _why_not_ready(self) -> str:
         return self._explain(self._readiness, self._config.franka)
 
-    def _begin(self, motion: Motion) -> None:
+    def _begin(self, motion: SetPointMotion) -> None:
         """Start a motion. Raises ArmNotReadyError, or ArmStoppedError if a person is needed."""
         condition = self._update_readiness().condition
         if condition in _NEEDS_PERSON:
@@ -311,7 +319,7 @@ class FrankaDriver:
         require_startable(self._measured(), self._config)
         self._motion = motion
 
-    def _wait(self, motion: Motion, stop: StopSignal, until: float) -> None:
+    def _wait(self, motion: SetPointMotion, stop: StopSignal, until: float) -> None:
         """Wait until the next tick or state. Raises the error that has ended the motion."""
         if stop.is_set():
             self._motion = self._stopping()
@@ -320,7 +328,7 @@ class FrankaDriver:
             message = f"motion aborted: {motion.aborted_by}"
             raise ArmStoppedError(message) if motion.needs_person else ArmFailedError(message)
         if self._clock() > self._ticked_at + _TICK_TIMEOUT:
-            self._motion = Motion()
+            self._motion = SetPointMotion()
             raise ArmFailedError(
                 f"no set-point was sent for {_TICK_TIMEOUT:g} s: the computer is overloaded, see /diagnostics"
             )
@@ -347,7 +355,7 @@ class FrankaDriver:
         if not motion.aborted_by:
             motion.aborted_by, motion.needs_person = reason, needs_person
         if not isinstance(motion, Retreat):
-            self._motion = Motion()
+            self._motion = SetPointMotion()
 
     def _measured(self) -> CameraPose:
         if self._history.pose is None:

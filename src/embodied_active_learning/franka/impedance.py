@@ -19,7 +19,7 @@ _PLANNED_BRAKING = 0.9
 """Part of the acceleration limit with which braking is planned, see motion_limits."""
 
 
-class Pair(NamedTuple):
+class LinearAngular(NamedTuple):
     """A linear quantity [m or N] and a rotational one [rad or Nm]."""
 
     linear: float
@@ -36,18 +36,20 @@ def turn_lag(rate: float, stiffness: float) -> float:
     return rate * FILTER_TIME + 2.0 * math.asin(min(1.0, 2.0 * rate / math.sqrt(stiffness)))
 
 
-def blocked_push(config: Config) -> Pair:
+def blocked_push(config: Config) -> LinearAngular:
     """Return force [N] along each axis and torque [Nm] about each that a blocked arm exerts at most."""
     franka = config.franka
-    return Pair(franka.stiffness * franka.max_lead, franka.turn_stiffness * math.sin(franka.max_turn_lead / 2.0))
+    return LinearAngular(
+        franka.stiffness * franka.max_lead, franka.turn_stiffness * math.sin(franka.max_turn_lead / 2.0)
+    )
 
 
-def required_leads(config: Config) -> Pair:
+def required_leads(config: Config) -> LinearAngular:
     """Return the leads of the set-point [m], [rad] that the top speeds need: lag, braking distance and state age."""
     arm, franka = config.arm, config.franka
     linear = lag(arm.max_speed, franka.stiffness) + _reserve(arm.max_speed, arm.max_acceleration)
     angular = turn_lag(arm.max_turn_rate, franka.turn_stiffness)
-    return Pair(linear, angular + _reserve(arm.max_turn_rate, arm.max_turn_acceleration))
+    return LinearAngular(linear, angular + _reserve(arm.max_turn_rate, arm.max_turn_acceleration))
 
 
 def lead_warnings(config: Config) -> List[str]:

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Callable, List, Protocol, Sequence
+from typing import Callable, List, Sequence
 
 from embodied_active_learning.franka.mount import CameraPose
 from embodied_active_learning.franka.set_points import SetPointStream, Step
 
 
-class StopSignal(Protocol):
-    """Set when a node stops the arm during a command."""
-
-    @property
-    def by(self) -> str:
-        """Name of that node."""
-
-    def is_set(self) -> bool:
-        """Whether the command must end."""
-
-
-class Motion:
+class SetPointMotion:
     """Brakes the set-point to rest; base class of the other motions."""
 
     def __init__(self) -> None:
@@ -32,7 +21,7 @@ class Motion:
         return stream.brake(measured, period)
 
 
-class Move(Motion):
+class Move(SetPointMotion):
     """Holds a planar velocity until a time, then brakes."""
 
     def __init__(self, velocity: List[float], ends_at: float, clock: Callable[[], float]) -> None:
@@ -40,7 +29,7 @@ class Move(Motion):
         self._velocity, self._ends_at, self._clock = velocity, ends_at, clock
 
     def step(self, stream: SetPointStream, measured: CameraPose, period: float) -> Step:
-        """See Motion."""
+        """See SetPointMotion."""
         if self._clock() >= self._ends_at:  # no further move has followed
             return stream.brake(measured, period)
         step = stream.advance(self._velocity, measured, period)
@@ -48,7 +37,7 @@ class Move(Motion):
         return step
 
 
-class GoTo(Motion):
+class GoTo(SetPointMotion):
     """Moves straight to a planar pose and stops there."""
 
     def __init__(self, target: Sequence[float]) -> None:
@@ -56,13 +45,13 @@ class GoTo(Motion):
         self._target = target
 
     def step(self, stream: SetPointStream, measured: CameraPose, period: float) -> Step:
-        """See Motion."""
+        """See SetPointMotion."""
         return stream.advance(stream.approach(self._target, period), measured, period)
 
 
-class Retreat(Motion):
+class Retreat(SetPointMotion):
     """Brings the set-point to rest at the measured pose, which stops the arm sooner than braking."""
 
     def step(self, stream: SetPointStream, measured: CameraPose, period: float) -> Step:
-        """See Motion."""
+        """See SetPointMotion."""
         return stream.retreat(measured, period)

@@ -20,10 +20,10 @@ _REST = (0.0, 0.0, 0.0)
 
 
 class Step(NamedTuple):
-    """Whether limits changed the wanted velocity, and whether the arm pulled the set-point along."""
+    """Whether limits changed the requested velocity, and whether the arm was displaced beyond franka/max_lead."""
 
     limited: bool
-    pulled: bool
+    displaced: bool
 
 
 class Tracking(NamedTuple):
@@ -39,7 +39,7 @@ class SetPointStream:
 
     A set-point is never farther from the measured pose than franka/max_lead along each of x, y and z, and
     franka/max_turn_lead about each: if the arm is blocked, the set-point waits and does not wind up. Height and tilt
-    are held; their initial errors are corrected slowly. If the arm is pushed farther away, it pulls the set-point
+    are held; their initial errors are corrected slowly. If the arm is pushed farther away, it moves the set-point
     along; only this is not limited in speed, because it reduces the force.
     """
 
@@ -91,8 +91,8 @@ class SetPointStream:
         """Return the velocity (3,) for a period [s] that leads straight to a target (3,), and stops there."""
         return self._limits.approach(self._planar, target, period)
 
-    def advance(self, wanted: Sequence[float], measured: CameraPose, period: float) -> Step:
-        """Advance the set-point for a period [s] at the legal velocity closest to a wanted one (3,).
+    def advance(self, requested: Sequence[float], measured: CameraPose, period: float) -> Step:
+        """Advance the set-point for a period [s] at the legal velocity closest to a requested one (3,).
 
         Raises CommandError for values that are not finite, and before `begin`.
         """
@@ -101,7 +101,9 @@ class SetPointStream:
             _common(low, high, inner_low, inner_high)
             for low, high, inner_low, inner_high in zip(lower, upper, self._limits.lower, self._limits.upper)
         ]
-        return self._move(wanted, [low for low, _ in boxed], [high for _, high in boxed], measured, period, level=True)
+        return self._move(
+            requested, [low for low, _ in boxed], [high for _, high in boxed], measured, period, level=True
+        )
 
     def brake(self, measured: CameraPose, period: float) -> Step:
         """Brake the set-point for a period [s]; from outside the workspace it is not led back."""
@@ -116,7 +118,7 @@ class SetPointStream:
 
     def _move(
         self,
-        wanted: Sequence[float],
+        requested: Sequence[float],
         lower: Sequence[float],
         upper: Sequence[float],
         measured: CameraPose,
@@ -126,16 +128,16 @@ class SetPointStream:
         if not self._planar:
             raise CommandError("no set-point: no pose of the robot has been received yet")
         period = min(period, MAX_PERIOD)
-        legal = self._limits.within(lower, upper).next_velocity(self._planar, self._velocity, wanted, period)
+        legal = self._limits.with_box(lower, upper).next_velocity(self._planar, self._velocity, requested, period)
         self._velocity = legal.velocity
         moved = [
             self._stay_inside(axis, at, at + period * speed)
             for axis, (at, speed) in enumerate(zip(self._planar, legal.velocity))
         ]
         self._planar = [min(max(at, low), high) for at, low, high in zip(moved, *self._box(measured))]
-        pulled = self._planar != moved
+        displaced = self._planar != moved
         self._correct_level(measured, period, level)
-        return Step(legal.cut or pulled, pulled)
+        return Step(legal.limited or displaced, displaced)
 
     def _stay_inside(self, axis: int, before: float, after: float) -> float:
         """Return a new place of an axis, which does not leave the workspace.
@@ -149,9 +151,9 @@ class SetPointStream:
         at = (measured.height, *measured.tilt)
         lower = [middle - lead for middle, lead in zip(at, self._level_leads)]
         upper = [middle + lead for middle, lead in zip(at, self._level_leads)]
-        wanted = self._level_limits.approach(self._level, _REST, period) if correct else _REST
-        limits = self._level_limits.within(lower, upper)
-        self._level_velocity = limits.next_velocity(self._level, self._level_velocity, wanted, period).velocity
+        requested = self._level_limits.approach(self._level, _REST, period) if correct else _REST
+        limits = self._level_limits.with_box(lower, upper)
+        self._level_velocity = limits.next_velocity(self._level, self._level_velocity, requested, period).velocity
         moved = [place + period * speed for place, speed in zip(self._level, self._level_velocity)]
         self._level = [min(max(place, low), high) for place, low, high in zip(moved, lower, upper)]
 

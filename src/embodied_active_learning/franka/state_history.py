@@ -82,9 +82,9 @@ class StateHistory:
         period = stamp - since
         if period < _MIN_PERIOD:
             return
-        share = 1.0 - math.exp(-period / _FILTER_TIME)
+        weight = 1.0 - math.exp(-period / _FILTER_TIME)
         x, y, omega = (
-            speed + share * ((now - before) / period - speed)
+            speed + weight * ((now - before) / period - speed)
             for speed, now, before in zip(self._velocity, pose.planar, base)
         )
         self._velocity = x, y, omega

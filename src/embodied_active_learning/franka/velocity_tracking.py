@@ -9,7 +9,7 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.franka.driver import FrankaDriver
-from embodied_active_learning.franka.motions import Motion
+from embodied_active_learning.franka.motions import SetPointMotion
 from embodied_active_learning.franka.mount import CameraMount
 from embodied_active_learning.franka.set_points import MAX_PERIOD, Tracking, level_limits
 from embodied_active_learning.franka.velocity_readiness import VelocityReadiness, why_not_ready
@@ -28,7 +28,7 @@ REST: Twist = (_ZERO, _ZERO)
 def velocity_driver(config: Config, clock: Callable[[], float]) -> FrankaDriver:
     """Return a driver whose set-points a VelocityTracker follows. clock: returns the time [s]."""
     # Stop by braking: a velocity towards the measured pose, which is late, would hardly decay.
-    return FrankaDriver(config, clock, VelocityReadiness(config.franka, clock), why_not_ready, Motion)
+    return FrankaDriver(config, clock, VelocityReadiness(config.franka, clock), why_not_ready, SetPointMotion)
 
 
 class VelocityTracker:
@@ -40,8 +40,8 @@ class VelocityTracker:
     def __init__(self, config: Config) -> None:
         lower = [-bound for bound in _UNBOUNDED]
         self._mount = CameraMount.from_config(config)
-        self._limits = MotionLimits.from_config(config).within(lower, _UNBOUNDED)
-        self._level_limits = level_limits().within(lower, _UNBOUNDED)
+        self._limits = MotionLimits.from_config(config).with_box(lower, _UNBOUNDED)
+        self._level_limits = level_limits().with_box(lower, _UNBOUNDED)
         self.reset()
 
     def reset(self) -> None:
@@ -53,11 +53,11 @@ class VelocityTracker:
         """Return the velocity of the end effector for the next period [s]."""
         period = min(max(period, 1e-3), MAX_PERIOD)
         set_point, measured = tracking.set_point, tracking.measured
-        wanted = _with_feedback(tracking.velocity, set_point.planar, measured.planar)
-        self._planar = self._limits.next_velocity(measured.planar, self._planar, wanted, period).velocity
+        requested = _with_feedback(tracking.velocity, set_point.planar, measured.planar)
+        self._planar = self._limits.next_velocity(measured.planar, self._planar, requested, period).velocity
         level_at, level_to = (measured.height, *measured.tilt), (set_point.height, *set_point.tilt)
-        wanted = _with_feedback(_ZERO, level_to, level_at)
-        self._level = self._level_limits.next_velocity(level_at, self._level, wanted, period).velocity
+        requested = _with_feedback(_ZERO, level_to, level_at)
+        self._level = self._level_limits.next_velocity(level_at, self._level, requested, period).velocity
         camera: np.ndarray = np.array([self._planar[0], self._planar[1], self._level[0]])
         angular: np.ndarray = np.array([self._level[1], self._level[2], self._planar[2]])
         _, rotation = self._mount.end_effector(measured)

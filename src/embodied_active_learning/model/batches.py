@@ -7,10 +7,10 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from embodied_active_learning.model.objective import Batch, Images
+from embodied_active_learning.model.loss import Batch, Images
 
 
-class Observations(Protocol):
+class ObservationSource(Protocol):
     """Store of N observations. Rows are only appended; the arrays may be replaced when it grows."""
 
     @property
@@ -31,7 +31,7 @@ class Observations(Protocol):
 class BatchReader:
     """Reads observations by index: on the CPU without copying images, on a GPU from a cache on the device."""
 
-    def __init__(self, observations: Observations, device: torch.device) -> None:
+    def __init__(self, observations: ObservationSource, device: torch.device) -> None:
         self._observations = observations
         self._device = device
         self._copies = device.type != "cpu"

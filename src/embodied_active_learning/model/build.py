@@ -11,9 +11,9 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.model.cvae import ConditionalVAE, initialise
 from embodied_active_learning.model.inference import Inference, TorchInference, make_inference
+from embodied_active_learning.model.loss import LossFunction, PlainLoss
 from embodied_active_learning.model.native.library import load_kernels
 from embodied_active_learning.model.native.loss import NativeLoss
-from embodied_active_learning.model.objective import LossFunction, PlainLoss
 
 LOG = logging.getLogger(__name__)
 

@@ -26,7 +26,7 @@ class LearnerState(NamedTuple):
         return next((name for name, tensor in self.tensors.items() if not bool(tensor.isfinite().all())), None)
 
 
-def add_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
+def copy_with_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
     """Return copies of the tensors on the CPU, with prefixed names."""
     return {prefix + name: copy_to_cpu(tensor) for name, tensor in tensors.items()}
 

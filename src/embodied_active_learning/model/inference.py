@@ -10,9 +10,9 @@ from torch import nn
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.cvae import ConditionalVAE, Size
+from embodied_active_learning.model.loss import Images
 from embodied_active_learning.model.native.convolutions import NativeConvolutions
 from embodied_active_learning.model.native.library import load_kernels
-from embodied_active_learning.model.objective import Images
 
 CHUNK = 64
 """Images per forward pass of torch, which limits the memory of the activations."""

@@ -12,14 +12,14 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.kernel import CoverageKernel, workspace_coverage
-from embodied_active_learning.model.batches import BatchReader, Observations
+from embodied_active_learning.model.batches import BatchReader, ObservationSource
 from embodied_active_learning.model.build import build_network, choose_device, choose_inference, choose_loss
 from embodied_active_learning.model.checkpoint import (
     ADAM,
     NETWORK,
     PREVIOUS,
     LearnerState,
-    add_prefix,
+    copy_with_prefix,
     pack,
     require_keys,
     require_shapes,
@@ -27,8 +27,8 @@ from embodied_active_learning.model.checkpoint import (
     with_prefix,
 )
 from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.loss import LossFunction, LossTerms
 from embodied_active_learning.model.metrics import Evaluation, active_units, evaluate_model
-from embodied_active_learning.model.objective import LossFunction, LossTerms
 from embodied_active_learning.model.optimiser import Optimiser
 from embodied_active_learning.model.replicas import Replicas
 from embodied_active_learning.model.schedule import Schedule
@@ -70,7 +70,7 @@ class Learner:
     """
 
     def __init__(
-        self, config: Config, observations: Observations, seed: int, loss: Optional[LossFunction] = None
+        self, config: Config, observations: ObservationSource, seed: int, loss: Optional[LossFunction] = None
     ) -> None:
         """Build network and optimiser.
 
@@ -254,12 +254,12 @@ class Learner:
             "schedule": self.schedule.state_dict(),
             "generator": self._random.bit_generator.state,
         }
-        tensors = add_prefix(NETWORK, dict(self._network.named_parameters()))
-        tensors.update(add_prefix(ADAM, self._optimiser.state_dict()))
+        tensors = copy_with_prefix(NETWORK, dict(self._network.named_parameters()))
+        tensors.update(copy_with_prefix(ADAM, self._optimiser.state_dict()))
         previous = self.replicas.weights_before(self.updates)
         if previous is not None:
             weights, counters["earlier_updates"] = previous
-            tensors.update(add_prefix(PREVIOUS, weights))
+            tensors.update(copy_with_prefix(PREVIOUS, weights))
         return LearnerState(tensors, counters)
 
     def load_state_dict(self, state: LearnerState) -> None:

@@ -9,7 +9,7 @@ import torch
 
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.inference import Inference
-from embodied_active_learning.model.objective import Batch
+from embodied_active_learning.model.loss import Batch
 from embodied_active_learning.model.verdict import ReconstructionErrors
 
 

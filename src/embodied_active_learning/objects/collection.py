@@ -13,7 +13,7 @@ import numpy as np
 from embodied_active_learning.config import Config, FingerprintConfig, WorkspaceConfig
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.controller import ErgodicController
-from embodied_active_learning.exploration.objective import normalise
+from embodied_active_learning.exploration.ergodic_objective import normalise
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.workspace import Workspace

@@ -15,7 +15,7 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.pipeline.identification import IdentificationRun
-from embodied_active_learning.pipeline.resolve import resolve_changes
+from embodied_active_learning.pipeline.resolve import resolve_config
 from embodied_active_learning.schema import nearest, settings
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session, find_session, session_root
@@ -40,7 +40,7 @@ def load_config(profile: str = "", **overrides: Any) -> Config:
         WorldError: The world cannot be built.
         SessionError: The session exists, or cannot be resumed.
     """
-    return resolve_changes(profile, _sections(overrides))
+    return resolve_config(profile, _sections(overrides))
 
 
 def load_session(session: SessionLike) -> Session:

@@ -1,4 +1,4 @@
-"""The exploration half of the paper's Algorithm 1, without robot or ROS: observe, assess, choose the next command."""
+"""The exploration half of the paper's Algorithm 1, without robot or ROS: observe, evaluate, choose the next command."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.exploration.commands import Command, VelocityCommand
-from embodied_active_learning.exploration.explorer import Explorer
-from embodied_active_learning.exploration.objective import (
+from embodied_active_learning.exploration.ergodic_objective import (
     flat_distribution,
     kl_ergodic,
     normalise,
 )
+from embodied_active_learning.exploration.explorer import Explorer
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.registry import EXPLORERS, MEASURES
 from embodied_active_learning.rng import resumed_seed
@@ -23,7 +23,7 @@ from embodied_active_learning.state_dict import StateDict, add_prefix, matching_
 
 
 @dataclass(frozen=True)
-class Assessment:
+class StepMetrics:
     """Target, time average and metrics of one exploration step."""
 
     step: int
@@ -36,20 +36,20 @@ class Assessment:
     effort: float  # integral of the squared normalised acceleration [1/s^3]; NaN for pose commands
 
 
-def exploration_row(stamp: float, state: np.ndarray, assessment: Assessment) -> Dict[str, float]:
+def exploration_row(stamp: float, state: np.ndarray, metrics: StepMetrics) -> Dict[str, float]:
     """Return the row of exploration.csv for a step. stamp: [s]; state: (3,) [m, m, rad]."""
     x, y, theta = map(float, state)
     return {
-        "step": assessment.step,
+        "step": metrics.step,
         "time": stamp,
         "x": x,
         "y": y,
         "theta": theta,
-        "ergodic_measure": assessment.ergodic_measure,
-        "coverage": assessment.coverage,
-        "distance": assessment.distance,
-        "turning": assessment.turning,
-        "effort": assessment.effort,
+        "ergodic_measure": metrics.ergodic_measure,
+        "coverage": metrics.coverage,
+        "distance": metrics.distance,
+        "turning": metrics.turning,
+        "effort": metrics.effort,
     }
 
 
@@ -62,7 +62,7 @@ class ExplorationRun:
         Args:
             config: the configuration.
             trajectory: (N, 3) [m, m, rad] states observed so far.
-            effort: effort spent so far, see Assessment.
+            effort: effort spent so far, see StepMetrics.
         """
         self._workspace = config.workspace.box()
         visited = np.empty((0, self._workspace.size)) if trajectory is None else np.asarray(trajectory)
@@ -118,7 +118,7 @@ class ExplorationRun:
         self._samples.refresh()
         self._explorer.observe(normalised, velocity)
 
-    def assess(self, log_std: Optional[np.ndarray]) -> Assessment:
+    def evaluate_step(self, log_std: Optional[np.ndarray]) -> StepMetrics:
         """Set the target from the model's log standard deviation (S,) at the samples.
 
         Args:
@@ -130,7 +130,7 @@ class ExplorationRun:
             self._target = flat_distribution(len(visitation))
         else:
             self._target = self._measure(log_std, coverage)
-        return Assessment(
+        return StepMetrics(
             step=self._step,
             target=self._target,
             time_average=normalise(visitation),
@@ -142,7 +142,7 @@ class ExplorationRun:
         )
 
     def next_command(self) -> Command:
-        """Return the next command for the target assessed last."""
+        """Return the next command for the target of the last evaluate_step."""
         command = self._explorer.next_command(self._target, self._samples)
         if isinstance(command, VelocityCommand):
             acceleration = (command.velocity - self._velocity) / self._workspace.scale / self._step_duration
@@ -152,9 +152,9 @@ class ExplorationRun:
             self._effort = float("nan")
         return command
 
-    def seek(self, places: np.ndarray) -> None:
-        """Report the places (P, 2) [m] about which an identification needs more views."""
-        self._explorer.seek(places)
+    def set_open_places(self, places: np.ndarray) -> None:
+        """Set the places (P, 2) [m] about which an identification needs more views."""
+        self._explorer.set_open_places(places)
 
     def interrupt(self) -> None:
         """Discard plan and velocity after the arm was stopped from outside."""

@@ -161,9 +161,9 @@ def _explore(
             stamp, state, velocity = ros_seconds(simulation.time), simulation.pose, simulation.velocity
             run.observe(exploration.step, stamp, state.tolist(), simulation.image())
             exploration.observe(state, velocity)
-            assessment = exploration.assess(training.log_std(exploration.sample_states, exploration.step))
-            table.append(exploration_row(stamp, state, assessment))
-            measure = assessment.ergodic_measure
+            metrics = exploration.evaluate_step(training.log_std(exploration.sample_states, exploration.step))
+            table.append(exploration_row(stamp, state, metrics))
+            measure = metrics.ergodic_measure
             on_progress(_progress(training, measure))
             if exploration.step < run.config.exploration.steps:
                 _execute(simulation, exploration.next_command())

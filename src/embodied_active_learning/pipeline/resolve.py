@@ -35,21 +35,18 @@ BRINGUPS = ("all", "nodes", "none")
 """What a launch file starts of the arm: everything, everything but a real arm's drivers, or nothing."""
 
 
-def resolve(
-    profile: str,
-    overrides: Sequence[str],
-    robot_profile: str = "",
-    recorded: Optional[Mapping[str, Any]] = None,
-    needs_arm: bool = True,
-) -> Config:
-    """Return the configuration of a run for launch files: overrides are texts SECTION/KEY=VALUE.
+def parse_overrides(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
+    """Return sections of keys from texts SECTION/KEY=VALUE. Raises ConfigError.
 
-    An override without a value is ignored. The other arguments are those of resolve_changes.
+    An override without a value is ignored, and of several for one key the last counts.
     """
-    return resolve_changes(profile, _changes(overrides), robot_profile, recorded, needs_arm)
+    changes: Dict[str, Dict[str, Any]] = {}
+    for override in overrides:
+        changes = merge(changes, _parse_override(override))
+    return changes
 
 
-def resolve_changes(
+def resolve_config(
     profile: str,
     changes: Mapping[str, Dict[str, Any]],
     robot_profile: str = "",
@@ -72,9 +69,9 @@ def resolve_changes(
         WorldError: The world cannot be built.
         SessionError: The session cannot be opened for writing, see check_session.
     """
-    config = combine_changes(profile, changes, robot_profile, recorded)
+    config = merge_config(profile, changes, robot_profile, recorded)
     if config.arm.robot == SIMULATED:
-        if given(robot_profile):
+        if unset_to_empty(robot_profile):
             raise ConfigError(
                 f"the robot profile {shown(robot_profile)} is for a real robot: set arm/robot, or leave it out"
             )
@@ -91,34 +88,20 @@ def resolve_changes(
     return config
 
 
-def combine(
-    profile: str, overrides: Sequence[str], robot_profile: str = "", recorded: Optional[Mapping[str, Any]] = None
-) -> Config:
-    """Return the configuration of resolve() without checking session and world. Raises ConfigError."""
-    return combine_changes(profile, _changes(overrides), robot_profile, recorded)
-
-
-def combine_changes(
+def merge_config(
     profile: str,
     changes: Mapping[str, Dict[str, Any]],
     robot_profile: str = "",
     recorded: Optional[Mapping[str, Any]] = None,
 ) -> Config:
-    """Return the configuration of resolve_changes() without checking session and world. Raises ConfigError."""
-    profile, robot_profile = given(profile), given(robot_profile)
+    """Return the configuration of resolve_config() without checking session and world. Raises ConfigError."""
+    profile, robot_profile = unset_to_empty(profile), unset_to_empty(robot_profile)
     return Config.from_dict(merge(_base(profile, robot_profile, changes, dict(recorded or {})), dict(changes)))
 
 
-def given(value: str) -> str:
+def unset_to_empty(value: str) -> str:
     """Return the value of a launch argument; empty if it is unset."""
     return "" if value == UNSET else value
-
-
-def _changes(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
-    changes: Dict[str, Dict[str, Any]] = {}
-    for override in overrides:
-        changes = merge(changes, _parse_override(override))
-    return changes
 
 
 def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "") -> None:
@@ -127,7 +110,7 @@ def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "")
         raise ConfigError(f"bringup is {shown(bringup)}: expected one of {', '.join(BRINGUPS)}")
     if config.arm.robot == RECORDED and bringup != "none":
         raise ConfigError("arm/robot is recording: use bringup:=none")
-    if config.arm.robot == FRANKA and bringup == "all" and not given(robot_ip):
+    if config.arm.robot == FRANKA and bringup == "all" and not unset_to_empty(robot_ip):
         raise ConfigError(
             "robot_ip is missing: give the address of the Panda's controller, such as robot_ip:=172.16.0.2, or "
             "bringup:=nodes if franka_ros and the camera driver are running"
@@ -178,7 +161,7 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
     section, slash, key = path.partition("/")
     if not (equals and slash and section and key):
         raise ConfigError(f"override {shown(text)} is malformed: expected section/key=value")
-    if not given(value):
+    if not unset_to_empty(value):
         return {}
     if (section, key, value) == ("exploration", "steps", AUTO):
         return {section: {"stop": "stable"}}

@@ -16,7 +16,7 @@ from embodied_active_learning.distributed.pool import WorkerPool
 from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.model.checkpoint import LearnerState, network_weights
 from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
-from embodied_active_learning.model.objective import LossFunction
+from embodied_active_learning.model.loss import LossFunction
 from embodied_active_learning.objects.stability import StopCheck
 from embodied_active_learning.pipeline.stopping import EarlyStop
 from embodied_active_learning.session.atomic import remove_file

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.session.observation_records import RecordLayout
 from embodied_active_learning.session.paths import BAGS_FOLDER
-from embodied_active_learning.session.records import RecordLayout
 
 SPARE_BYTES = 200_000_000
 _BYTES_PER_WEIGHT = 4

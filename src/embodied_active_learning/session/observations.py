@@ -15,7 +15,7 @@ import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.session.atomic import make_folder
-from embodied_active_learning.session.records import RecordFile, RecordLayout
+from embodied_active_learning.session.observation_records import RecordFile, RecordLayout
 from embodied_active_learning.workspace import Workspace
 
 LAYOUT_FILE = "format.json"

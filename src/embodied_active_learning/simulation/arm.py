@@ -128,7 +128,7 @@ class SimulatedArm:
         joints, joint_velocities = state["joints"], state["joint_velocities"]
         legal = {
             "time": 0.0 <= state["steps"][0] * self._body.period <= _LATEST,
-            "commanded velocity": not self._limits.differ(self._limits.slowed(commanded), commanded),
+            "commanded velocity": not self._limits.differ(self._limits.clamp_speed(commanded), commanded),
             "joint positions": np.all((joints >= lower - _JOINT_SLACK) & (joints <= upper + _JOINT_SLACK)),
             "joint velocities": np.all(np.abs(joint_velocities) <= _JOINT_SPEED_SLACK * speed),
         }
@@ -157,11 +157,11 @@ class SimulatedArm:
         Raises:
             CommandError: The request is invalid; the arm is unchanged.
         """
-        wanted = checked_velocity(velocity)
+        requested = checked_velocity(velocity)
         steps = max(1, round(checked_duration(duration, self._max_duration) / self._body.period))
-        legal = self._limits.slowed(wanted)
-        held = legal if error is None else self._limits.slowed([*map(add, legal, error().tolist())])
-        limited = legal != wanted
+        legal = self._limits.clamp_speed(requested)
+        held = legal if error is None else self._limits.clamp_speed([*map(add, legal, error().tolist())])
+        limited = legal != requested
         for _ in range(steps):
             limited |= self._tick(held)
         return MoveResult(self.pose, self.velocity, limited or self._limits.differ(self._commanded, held))
@@ -204,13 +204,13 @@ class SimulatedArm:
         legal = self._limits.next_velocity(self._pose.tolist(), self._commanded, velocity, period)
         joints = self._body.joints()
         twist = servo.held_twist(legal.velocity, self._position, self._orientation, self._height)
-        wanted = servo.joint_velocities(self._body.jacobian(joints), twist, joints)
+        requested = servo.joint_velocities(self._body.jacobian(joints), twist, joints)
         # Joint limits take precedence: where they slow the arm, it may brake harder than the acceleration limit.
-        share = servo.share_within_limits(wanted, joints, period)
-        self._body.drive(joints, share * wanted)
-        self._commanded = [share * speed for speed in legal.velocity]
+        scale = servo.scale_within_limits(requested, joints, period)
+        self._body.drive(joints, scale * requested)
+        self._commanded = [scale * speed for speed in legal.velocity]
         self._sense()
-        return share < 1.0 or legal.cut
+        return scale < 1.0 or legal.limited
 
     def _sense(self) -> None:
         self._position, self._orientation, self._twist = self._body.optical_frame()

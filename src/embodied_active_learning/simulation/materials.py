@@ -24,7 +24,7 @@ _TRANSFORMS = ("-o", "-s", "-t")  # move, scale and distort the texture: up to t
 
 
 @dataclass(frozen=True)
-class Appearance:
+class MeshAppearance:
     """Look of a mesh: one colour, one colour per face, or a texture."""
 
     colour: Colour = WHITE
@@ -41,7 +41,7 @@ class _Material:
     texture: str = ""  # as written in the MTL file
 
 
-def mesh_appearance(mesh: Mesh) -> Appearance:
+def mesh_appearance(mesh: Mesh) -> MeshAppearance:
     """Return the look that a mesh and its MTL files define.
 
     Raises WorldError if a file it refers to is missing or unusable, or if it cannot be rendered as defined.
@@ -54,14 +54,14 @@ def mesh_appearance(mesh: Mesh) -> Appearance:
         raise WorldError(f"mesh {mesh.path} has several textures ({listed}): bake them into one texture")
     (texture,) = textures
     if texture:
-        return Appearance(texture=texture_of(mesh, _texture_path(texture, mesh.path)))
+        return MeshAppearance(texture=texture_of(mesh, _texture_path(texture, mesh.path)))
     face_colours = mesh.face_colours()
     if face_colours is not None:
-        return Appearance(face_colours=face_colours)
+        return MeshAppearance(face_colours=face_colours)
     colours = [item.colour for item in used]
     if len(set(colours)) == 1:
-        return Appearance(colours[0])
-    return Appearance(face_colours=np.array(colours)[mesh.face_materials])
+        return MeshAppearance(colours[0])
+    return MeshAppearance(face_colours=np.array(colours)[mesh.face_materials])
 
 
 def texture_of(mesh: Mesh, path: Path) -> np.ndarray:

@@ -15,7 +15,7 @@ from embodied_active_learning.errors import WorldError
 from embodied_active_learning.files import shown
 from embodied_active_learning.geometry import fixed_axes_rotation
 from embodied_active_learning.simulation.assets import read_asset
-from embodied_active_learning.simulation.materials import Appearance, mesh_appearance, missing_libraries, texture_of
+from embodied_active_learning.simulation.materials import MeshAppearance, mesh_appearance, missing_libraries, texture_of
 from embodied_active_learning.simulation.obj_mesh import Mesh, read_mesh
 from embodied_active_learning.simulation.resources import locate
 
@@ -41,7 +41,7 @@ class ObjectModel:
     has_colour: bool
     """Whether its files define a colour or texture; white otherwise."""
     shape: Mesh = field(repr=False, compare=False)
-    appearance: Appearance = field(repr=False, compare=False)
+    appearance: MeshAppearance = field(repr=False, compare=False)
 
     @property
     def centre(self) -> np.ndarray:
@@ -110,17 +110,17 @@ def _parse(urdf: Path) -> ET.Element:
         raise WorldError(f"URDF {urdf} is not XML: {error}") from error
 
 
-def _appearance(urdf: Path, robot: ET.Element, visual: ET.Element, mesh: Mesh) -> Appearance:
+def _appearance(urdf: Path, robot: ET.Element, visual: ET.Element, mesh: Mesh) -> MeshAppearance:
     """The URDF's material if it has one, else the mesh's. A URDF colour multiplies the texture of the mesh."""
     colour, texture = _urdf_material(urdf, robot, visual)
     if texture is not None:
-        return Appearance(colour or (1.0, 1.0, 1.0), texture=texture_of(mesh, texture))
+        return MeshAppearance(colour or (1.0, 1.0, 1.0), texture=texture_of(mesh, texture))
     if colour is None:
         return mesh_appearance(mesh)
     missing = missing_libraries(mesh)
     if missing:
         _log.warning("%s: material file %s is missing: using the colour of the URDF", urdf, missing[0])
-        return Appearance(colour)
+        return MeshAppearance(colour)
     return replace(mesh_appearance(mesh), colour=colour, face_colours=None)
 
 

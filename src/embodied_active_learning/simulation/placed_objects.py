@@ -9,7 +9,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from embodied_active_learning.simulation.materials import Appearance
+from embodied_active_learning.simulation.materials import MeshAppearance
 from embodied_active_learning.simulation.object_model import ObjectModel
 from embodied_active_learning.simulation.world_settings import GeneratedTexture
 
@@ -38,7 +38,7 @@ class PlacedObject:
         return tuple((self.model.colour if self.colour is None else self.colour)[:3])
 
     @property
-    def appearance(self) -> Appearance:
+    def appearance(self) -> MeshAppearance:
         """Look of the mesh; a colour of the world file replaces colours of its faces."""
         model = self.model.appearance
         return model if self.colour is None else replace(model, face_colours=None)

@@ -54,15 +54,15 @@ def joint_velocities(jacobian: np.ndarray, twist: np.ndarray, joints: np.ndarray
     return right[:-1].T @ (inverse * (left.T @ twist)) + null * (null @ (_POSTURE_GAIN * (HOME - joints)))
 
 
-def share_within_limits(velocities: np.ndarray, joints: np.ndarray, period: float) -> float:
+def scale_within_limits(velocities: np.ndarray, joints: np.ndarray, period: float) -> float:
     """Return the largest factor, 0 to 1, for joint velocities (7,) that keeps speeds and next positions legal."""
-    share = 1.0
+    scale = 1.0
     for velocity, joint, (lower, upper, speed) in zip(velocities.tolist(), joints.tolist(), _LIMITS):
         room = (upper - joint if velocity > 0.0 else joint - lower) / period
         allowed = min(speed, max(room, 0.0))
         if abs(velocity) > allowed:
-            share = min(share, allowed / abs(velocity))
-    return share
+            scale = min(scale, allowed / abs(velocity))
+    return scale
 
 
 def solve_joints(body: PandaBody, pose: np.ndarray, height: float) -> Optional[np.ndarray]:

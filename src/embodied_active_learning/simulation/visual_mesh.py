@@ -8,13 +8,13 @@ from typing import Tuple
 import cv2
 import numpy as np
 
-from embodied_active_learning.simulation.materials import Appearance
+from embodied_active_learning.simulation.materials import MeshAppearance
 from embodied_active_learning.simulation.obj_mesh import Mesh
 
 _SWATCH = 4  # pixels
 
 
-def write_visual(mesh: Mesh, appearance: Appearance, path: Path) -> None:
+def write_visual(mesh: Mesh, appearance: MeshAppearance, path: Path) -> None:
     """Write OBJ, MTL and texture of a mesh. The look's colour is left to the renderer."""
     texture = path.with_suffix(".png")
     if appearance.texture is not None:

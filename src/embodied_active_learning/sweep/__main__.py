@@ -22,7 +22,7 @@ from embodied_active_learning.files import parse_yaml
 from embodied_active_learning.pipeline.progress import duration
 from embodied_active_learning.session.disk import free_bytes
 from embodied_active_learning.sweep.jobs import Job
-from embodied_active_learning.sweep.records import load_record
+from embodied_active_learning.sweep.run_records import load_record
 from embodied_active_learning.sweep.runner import CLUSTERS, PROCESSES, make_runs, threads_per_worker
 from embodied_active_learning.sweep.spec import load_sweep
 

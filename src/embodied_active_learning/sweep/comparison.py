@@ -12,7 +12,7 @@ from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.figures.curves import Curve
 from embodied_active_learning.schema import nearest, settings
 from embodied_active_learning.session.tables import COLUMNS
-from embodied_active_learning.sweep.records import RECORD_FILE, Record, load_record
+from embodied_active_learning.sweep.run_records import RECORD_FILE, Record, load_record
 from embodied_active_learning.sweep.spec import portable_settings
 
 POINTS = 50

@@ -11,11 +11,11 @@ from embodied_active_learning.errors import SessionError
 from embodied_active_learning.model.learner import DivergenceError
 from embodied_active_learning.pipeline.learning import learn
 from embodied_active_learning.pipeline.progress import Progress
-from embodied_active_learning.pipeline.resolve import resolve_changes
+from embodied_active_learning.pipeline.resolve import resolve_config
 from embodied_active_learning.session.disk import bytes_below, estimate_bytes
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
-from embodied_active_learning.sweep.records import has_record, load_record, record_session, write_record
+from embodied_active_learning.sweep.run_records import has_record, load_record, record_session, write_record
 from embodied_active_learning.sweep.spec import SweepRun, differences
 
 
@@ -104,7 +104,7 @@ class Job:
     def _config(self) -> Config:
         changes = merge(dict(self.run.changes), {"training": {"threads": self.threads}})
         place = {"root": str(self.sessions), "name": self.run.name, "resume": self.session.is_dir()}
-        return resolve_changes(self.run.profile, merge(changes, {"session": place}))
+        return resolve_config(self.run.profile, merge(changes, {"session": place}))
 
     def _stored(self) -> Optional[Config]:
         """Return the configuration of the stored run, if there is one."""

@@ -13,7 +13,7 @@ from embodied_active_learning.figures.top_view import SessionImages, TopView
 from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.world import load_world
-from embodied_active_learning.sweep.records import Record
+from embodied_active_learning.sweep.run_records import Record
 
 _MARGIN = 0.08  # m around the workspace
 _WIDTH = 400  # pixels

@@ -22,7 +22,7 @@ from embodied_active_learning.config import Config, merge
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.naming import check_name
-from embodied_active_learning.pipeline.resolve import combine_changes
+from embodied_active_learning.pipeline.resolve import merge_config
 from embodied_active_learning.schema import load, required, setting
 
 _READER = FileReader(ConfigError, "see the sweeps in experiments/", follow=True)
@@ -75,7 +75,7 @@ class SweepRun:
 
     def config(self) -> Config:
         """Return the run's configuration without a session. Raises ConfigError for invalid keys or values."""
-        return combine_changes(self.profile, self.changes)
+        return merge_config(self.profile, self.changes)
 
 
 @dataclass(frozen=True)

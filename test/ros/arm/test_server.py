@@ -9,7 +9,7 @@ from embodied_active_learning.msg import ArmCause, PlanarState
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmBusyError, ArmFailedError, ArmStoppedError, NoResponseError
 from embodied_active_learning.ros.arm import arbiter, server
-from embodied_active_learning.ros.arm.server import ArmServer, Motion
+from embodied_active_learning.ros.arm.server import ArmServer, MoveOutcome
 from embodied_active_learning.ros.runtime.diagnostics import WARN, Health
 
 STATE = PlanarState(x=0.5)
@@ -30,7 +30,7 @@ class RecordingArm(ArmServer):
 
     def move(self, velocity, duration, stop):
         self._record("move", velocity, duration, stop.is_set())
-        return Motion(STATE, True)
+        return MoveOutcome(STATE, True)
 
     def go_to(self, pose, stop):
         self._record("go_to", pose, stop.is_set())

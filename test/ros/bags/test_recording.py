@@ -20,7 +20,7 @@ from embodied_active_learning.errors import (
     ObservationError,
     SessionError,
 )
-from embodied_active_learning.pipeline.resolve import resolve
+from embodied_active_learning.pipeline.resolve import resolve_config
 from embodied_active_learning.ros.bags import pairing, session_bag
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, is_due
 from embodied_active_learning.ros.bags.recording import Recording
@@ -382,7 +382,7 @@ def test_waiting_images_are_bounded(monkeypatch):
 def test_shipped_bag_matches_its_profile(tmp_path):
     bags = Path(__file__).resolve().parents[3] / "bags"
     recording = Recording(bags / "diagonal-small.bag")
-    made = resolve(str(bags / "diagonal-small.yaml"), [f"session/root={tmp_path}"])
+    made = resolve_config(str(bags / "diagonal-small.yaml"), {"session": {"root": str(tmp_path)}})
     recorded, expected = recording.settings(), read_settings(settings_text(made))
     for section in ("franka", "fingerprint", "identification"):  # not used by the recorded run
         assert recorded.pop(section)

@@ -9,7 +9,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.geometry import field_of_view, intrinsics
 from embodied_active_learning.images import Framing
-from embodied_active_learning.ros.camera.camera_info import calibrate
+from embodied_active_learning.ros.camera.camera_info import image_calibration
 from embodied_active_learning.ros.camera.converter import ImageConverter
 from embodied_active_learning.ros.camera.rectification import pixel_rays
 from embodied_active_learning.ros.conversions import camera_info_message, image_array
@@ -34,7 +34,7 @@ def camera_matrix(info):
 
 @pytest.mark.parametrize("info", [None, CameraInfo(height=360, width=640)], ids=["none", "zeros"])
 def test_uncalibrated_camera_uses_configured_field_of_view(info):
-    found = calibrate(info, FRAMING, CAMERA)
+    found = image_calibration(info, FRAMING, CAMERA)
     np.testing.assert_allclose(camera_matrix(found.info), intrinsics(180, 180, 30.0))
     assert found.warning == ""
     assert found.rectification is None
@@ -42,7 +42,7 @@ def test_uncalibrated_camera_uses_configured_field_of_view(info):
 
 
 def test_matching_calibration_is_scaled_and_not_rectified():
-    found = calibrate(calibration(axis=(0.5, -0.5)), FRAMING, CAMERA)
+    found = image_calibration(calibration(axis=(0.5, -0.5)), FRAMING, CAMERA)
     matrix = camera_matrix(found.info)
     assert field_of_view(matrix, 180) == pytest.approx(30.0)
     assert (matrix[0, 2], matrix[1, 2]) == pytest.approx((89.5 + 0.25, 89.5 - 0.25))
@@ -52,22 +52,22 @@ def test_matching_calibration_is_scaled_and_not_rectified():
 
 
 def test_calibration_of_other_size_is_ignored_with_warning():
-    found = calibrate(calibration(480, 640), FRAMING, CAMERA)
-    assert found.info.K == calibrate(None, FRAMING, CAMERA).info.K
+    found = image_calibration(calibration(480, 640), FRAMING, CAMERA)
+    assert found.info.K == image_calibration(None, FRAMING, CAMERA).info.K
     assert "is for 640 x 480 pixels, the camera's pictures have 640 x 360" in found.warning
 
 
 def test_narrow_field_of_view_is_reported_with_both_values():
     """The pictures do not cover the configured field of view, so they cannot be rectified."""
     info = calibration(degrees=27.0, distortion=(0.1, -0.2, 0.0, 0.0, 0.3))
-    found = calibrate(info, FRAMING, CAMERA)
+    found = image_calibration(info, FRAMING, CAMERA)
     assert found.rectification is None
     assert "camera/field_of_view is 30.0 degrees, the calibrated camera has field of view 27.0 degrees" in found.warning
     assert "set camera/field_of_view to 26.9 or less" in found.warning
     assert field_of_view(camera_matrix(found.info), 180) == pytest.approx(27.0)
     assert found.info.D == info.D
     remedied = CameraConfig(field_of_view=26.9)
-    assert calibrate(info, FRAMING, remedied).warning == ""
+    assert image_calibration(info, FRAMING, remedied).warning == ""
 
 
 WRONG = {
@@ -88,7 +88,7 @@ WRONG = {
 
 @pytest.mark.parametrize(("values", "words"), WRONG.values(), ids=WRONG)
 def test_deviating_camera_is_rectified(values, words):
-    found = calibrate(calibration(**values), FRAMING, CAMERA)
+    found = image_calibration(calibration(**values), FRAMING, CAMERA)
     assert found.warning == ""
     assert found.rectification is not None
     assert words in found.source
@@ -109,7 +109,7 @@ def test_deviating_camera_is_rectified(values, words):
 )
 def test_deviating_camera_that_cannot_be_rectified_is_reported(values, words):
     """A square picture with exactly the configured field of view covers nothing beyond it."""
-    found = calibrate(calibration(360, 360, **values), Framing.between((360, 360), (180, 180)), CAMERA)
+    found = image_calibration(calibration(360, 360, **values), Framing.between((360, 360), (180, 180)), CAMERA)
     assert found.rectification is None
     assert "positions on the table are wrong by up to" in found.warning
     assert "set camera/field_of_view to" in found.warning
@@ -125,7 +125,7 @@ def test_deviating_camera_that_cannot_be_rectified_is_reported(values, words):
     ],
 )
 def test_unusable_distortion_is_reported(values, words):
-    found = calibrate(calibration(**values), FRAMING, CAMERA)
+    found = image_calibration(calibration(**values), FRAMING, CAMERA)
     assert words in found.warning
     assert "rectify the pictures with image_proc" in found.warning
 

@@ -20,7 +20,7 @@ from embodied_active_learning.ros.conversions import image_message, state_messag
 from embodied_active_learning.ros.objects import place_visitor
 from embodied_active_learning.ros.objects.place_visitor import PlaceVisitor
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
-from embodied_active_learning.ros.runtime.task_server import Progress
+from embodied_active_learning.ros.runtime.task_server import TaskProgress
 
 CONFIG = Config.from_dict({"camera": {"width": 9, "height": 8}})
 PLACES = [
@@ -78,7 +78,7 @@ def log(monkeypatch):
 
 
 def visit(is_cancelled=lambda: False):
-    visits = PlaceVisitor(CONFIG).visit(PLACES, Progress(ExclusiveTask("a visit"), is_cancelled))
+    visits = PlaceVisitor(CONFIG).visit(PLACES, TaskProgress(ExclusiveTask("a visit"), is_cancelled))
     return [item.destination.label for item in visits]
 
 

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from embodied_active_learning.errors import BusyError
-from embodied_active_learning.ros.planner.pace import Pace
+from embodied_active_learning.ros.planner.step_rate import StepRate
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN, Health, Rate, add_wait
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
 from embodied_active_learning.ros.runtime.wait_log import Wait, log_wait, longest_wait
@@ -44,16 +44,16 @@ def test_rate_covers_window(clock):
 
 
 def test_pace_counts_overruns_but_not_pauses(clock):
-    pace = Pace(0.2, clock)
+    rate = StepRate(0.2, clock)
     for seconds in (0.1, 0.1, 0.5, 0.1, 0.3):
         clock.advance(seconds)
-        pace.step()
-    values = pace.values()
+        rate.step()
+    values = rate.values()
     assert (values["overruns"], values["last overrun [s]"]) == (2, 0.3)
-    pace.interrupt()
+    rate.interrupt()
     clock.advance(100.0)
-    pace.step()
-    assert pace.values()["overruns"] == 2
+    rate.step()
+    assert rate.values()["overruns"] == 2
 
 
 def test_longest_wait_is_the_oldest():

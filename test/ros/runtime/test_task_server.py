@@ -10,12 +10,12 @@ import pytest
 from embodied_active_learning.errors import TaskCancelledError
 from embodied_active_learning.ros.runtime import task_server
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
-from embodied_active_learning.ros.runtime.task_server import Caller, Progress, is_connected
+from embodied_active_learning.ros.runtime.task_server import Caller, TaskProgress, is_connected
 
 
 def test_progress_sets_status_and_publishes():
     task, published = ExclusiveTask("fingerprinting"), []
-    progress = Progress(task, publish=lambda *values: published.append(values))
+    progress = TaskProgress(task, publish=lambda *values: published.append(values))
     progress.report("storing")
     assert task.status == "storing"
     progress.report("object-1", 3, 50)
@@ -25,7 +25,7 @@ def test_progress_sets_status_and_publishes():
 
 def test_progress_raises_when_cancelled():
     cancelled = threading.Event()
-    progress = Progress(ExclusiveTask("fingerprinting"), cancelled.is_set)
+    progress = TaskProgress(ExclusiveTask("fingerprinting"), cancelled.is_set)
     progress.check()
     cancelled.set()
     for action in (progress.check, lambda: progress.report("object-1")):
@@ -35,7 +35,7 @@ def test_progress_raises_when_cancelled():
 
 def test_when_cancelled_calls_back_during_block_only():
     cancelled, called = threading.Event(), threading.Event()
-    progress = Progress(ExclusiveTask("fingerprinting"), cancelled.is_set)
+    progress = TaskProgress(ExclusiveTask("fingerprinting"), cancelled.is_set)
     with progress.when_cancelled(called.set):
         pass
     cancelled.set()

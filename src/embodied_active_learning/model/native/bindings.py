@@ -12,7 +12,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
 import torch
 
-from embodied_active_learning.model.objective import Images
+from embodied_active_learning.model.loss import Images
 
 Shape = Tuple[int, int, int]
 

@@ -11,6 +11,7 @@ import torch
 from torch import nn
 
 from embodied_active_learning.model.cvae import IMAGE_CHANNELS, ConditionalVAE
+from embodied_active_learning.model.loss import Images
 from embodied_active_learning.model.native.bindings import (
     ConvLayer,
     FeatureMaps,
@@ -18,9 +19,8 @@ from embodied_active_learning.model.native.bindings import (
     Kernels,
     PackedLayers,
 )
-from embodied_active_learning.model.objective import Images
 
-Pair = Tuple[torch.Tensor, torch.Tensor]
+FactorPair = Tuple[torch.Tensor, torch.Tensor]
 Product = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 Job = Callable[[], None]
 
@@ -81,7 +81,7 @@ class NativeConvolutions:
         Pass the result to encoder_backward exactly once; the images must not change until then.
         """
         parameters, layers = list(network.image_encoder.parameters()), self._encoder_layers(network)
-        maps = [self._borrow(self._inner_maps) for _ in range(self._groups(len(images)))]
+        maps = [self._acquire_scratch(self._inner_maps) for _ in range(self._groups(len(images)))]
 
         def encode(group: int, members: slice) -> None:
             outputs = rows[members], columns.t()[members]
@@ -91,7 +91,7 @@ class NativeConvolutions:
         return SavedTensors(images, parameters, layers, maps)
 
     def encoder_backward(
-        self, saved: SavedTensors, gradient: torch.Tensor, pairs: Sequence[Pair] = (), extra: Sequence[Job] = ()
+        self, saved: SavedTensors, gradient: torch.Tensor, pairs: Sequence[FactorPair] = (), extra: Sequence[Job] = ()
     ) -> EncoderGradients:
         """Return the gradients of the encoder's weights and biases from the gradient (B, F) at the features.
 
@@ -104,11 +104,11 @@ class NativeConvolutions:
         sums = [torch.zeros(())] * len(tasks)
 
         def backward(group: int, members: slice) -> None:
-            maps, scratch = saved.maps[group], self._borrow(self._deep_maps)
+            maps, scratch = saved.maps[group], self._acquire_scratch(self._deep_maps)
             arguments = saved.images[members], maps, scratch, gradient[members], group_gradients.addresses(group)
             self.kernels.encoder_backward(saved.layers, *arguments)
-            self._give_back(scratch, self._deep_maps)
-            self._give_back(maps, self._inner_maps)
+            self._release_scratch(scratch, self._deep_maps)
+            self._release_scratch(maps, self._inner_maps)
 
         def multiply(index: int) -> None:
             left, right, out = tasks[index]
@@ -142,12 +142,12 @@ class NativeConvolutions:
         gradients = GroupGradients(parameters, self._groups(len(images)))
 
         def reconstruct(group: int, members: slice) -> None:
-            scratch = self._borrow(self._deep_maps), self._borrow(self._deep_maps)
+            scratch = self._acquire_scratch(self._deep_maps), self._acquire_scratch(self._deep_maps)
             outputs = feature_gradient.t()[members], errors[members], gradients.addresses(group)
             inputs = features.t()[members], images[members], scales[members]
             self.kernels.decoder_forward_backward(layers, *inputs, scratch, *outputs)
             for maps in scratch:
-                self._give_back(maps, self._deep_maps)
+                self._release_scratch(maps, self._deep_maps)
 
         self._run([*self._for_groups(len(images), reconstruct), *extra])
         return Reconstruction(errors / pixels, gradients)
@@ -157,9 +157,9 @@ class NativeConvolutions:
         layers, features = self._encoder_layers(network), torch.empty((len(images), network.feature_size))
 
         def encode(_: int, members: slice) -> None:
-            maps = self._borrow(self._inner_maps)
+            maps = self._acquire_scratch(self._inner_maps)
             self.kernels.encoder_forward(layers, images[members], maps, features[members])
-            self._give_back(maps, self._inner_maps)
+            self._release_scratch(maps, self._inner_maps)
 
         self._run(self._for_groups(len(images), encode))
         return features
@@ -171,11 +171,11 @@ class NativeConvolutions:
         images = torch.empty((len(features), *size, channels))
 
         def decode(_: int, members: slice) -> None:
-            maps = self._borrow(all_maps)
+            maps = self._acquire_scratch(all_maps)
             self.kernels.decoder_forward(layers, features[members], maps)
             decoded = images[members].numpy()
             decoded[:] = maps.tensors[0].numpy().transpose(3, 1, 2, 0)[: len(decoded)]
-            self._give_back(maps, all_maps)
+            self._release_scratch(maps, all_maps)
 
         self._run(self._for_groups(len(features), decode))
         return images
@@ -196,17 +196,17 @@ class NativeConvolutions:
     def _decoder_layers(self, network: ConditionalVAE) -> PackedLayers:
         return self.kernels.pack(self.layers, _reverse_layers(network.image_decoder.parameters()))
 
-    def _borrow(self, indices: range) -> FeatureMaps:
+    def _acquire_scratch(self, indices: range) -> FeatureMaps:
         """Scratch memory for one group; reused, because page faults cost more than the arithmetic."""
         try:
             return self._spare[indices].pop()
         except IndexError:
             return self.kernels.allocate(self.layers, indices)
 
-    def _give_back(self, maps: FeatureMaps, indices: range) -> None:
+    def _release_scratch(self, maps: FeatureMaps, indices: range) -> None:
         self._spare[indices].append(maps)
 
-    def _split_products(self, pairs: Sequence[Pair]) -> Tuple[List[torch.Tensor], List[Product]]:
+    def _split_products(self, pairs: Sequence[FactorPair]) -> Tuple[List[torch.Tensor], List[Product]]:
         """Return the memory of each pair's product, and the parts to compute: (left, right, out)."""
         products: List[torch.Tensor] = []
         tasks: List[Product] = []

@@ -16,15 +16,15 @@ import torch
 from torch import nn
 
 from embodied_active_learning.model.cvae import ConditionalVAE, clamp_mask, clamped, latent_gaussian
-from embodied_active_learning.model.native.bindings import Kernels
-from embodied_active_learning.model.native.convolutions import NativeConvolutions, Pair
-from embodied_active_learning.model.objective import (
+from embodied_active_learning.model.loss import (
     HALF_LOG_TWO_PI,
     Batch,
     LossTerms,
     kl_divergence,
     total_loss,
 )
+from embodied_active_learning.model.native.bindings import Kernels
+from embodied_active_learning.model.native.convolutions import FactorPair, NativeConvolutions
 
 
 class NativeLoss:
@@ -167,7 +167,7 @@ class _Perceptron:
         return gradient
 
     @property
-    def weight_gradient_factors(self) -> List[Pair]:
+    def weight_gradient_factors(self) -> List[FactorPair]:
         """Matrices whose product is the gradient of each layer's weight; available after backward."""
         return [(gradient.t(), rows) for gradient, rows in zip(self._gradients, self._input_rows)]
 

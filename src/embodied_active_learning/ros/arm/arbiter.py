@@ -10,31 +10,10 @@ from typing import Any, Callable, Iterator, Optional
 
 import rospy
 
+from embodied_active_learning.arm_requests import StopSignal
 from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.diagnostics import WARN, Health
-
-
-class StopSignal:
-    """Set when a node stops the arm during a command; checked by arms whose commands take time."""
-
-    def __init__(self) -> None:
-        self._event = threading.Event()
-        self._by = ""
-
-    @property
-    def by(self) -> str:
-        """Name of the node that stopped the arm."""
-        return self._by
-
-    def is_set(self) -> bool:
-        """Whether the command must end at once."""
-        return self._event.is_set()
-
-    def set(self, by: str) -> None:
-        """End the command on behalf of a node."""
-        self._by = by
-        self._event.set()
 
 
 class ArmArbiter:

@@ -33,10 +33,10 @@ class RateLoop:
         """Start no further call."""
         self._ended.set()
 
-    def lateness(self, share: float) -> float:
-        """Return the quantile `share`, 0 to 1, of the lateness of the last calls, in seconds."""
+    def lateness(self, fraction: float) -> float:
+        """Return the quantile `fraction`, 0 to 1, of the lateness of the last calls, in seconds."""
         lateness = sorted(self._lateness)
-        return lateness[max(0, math.ceil(share * len(lateness)) - 1)] if lateness else 0.0
+        return lateness[max(0, math.ceil(fraction * len(lateness)) - 1)] if lateness else 0.0
 
     def _run(self) -> None:
         due = time.monotonic()

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple, Sequence
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
+from embodied_active_learning.arm_requests import StopSignal
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError
 from embodied_active_learning.msg import ArmCause, PlanarState
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.arm.arbiter import ArmArbiter, StopSignal
+from embodied_active_learning.ros.arm.arbiter import ArmArbiter
 from embodied_active_learning.ros.arm.error_codes import cause_fields
 from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.diagnostics import Health, report_health
@@ -25,7 +26,7 @@ WATCHDOG_PERIOD = 0.1
 LIMITED = "the velocity was reduced to respect the arm's limits"
 
 
-class Motion(NamedTuple):
+class MoveOutcome(NamedTuple):
     """State at the end of a velocity command, and whether a limit changed the velocity."""
 
     state: PlanarState
@@ -51,7 +52,7 @@ class ArmServer(ABC):
         report_health("arm", self.health)
 
     @abstractmethod
-    def move(self, velocity: Sequence[float], duration: float, stop: StopSignal) -> Motion:
+    def move(self, velocity: Sequence[float], duration: float, stop: StopSignal) -> MoveOutcome:
         """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s] within the limits. Raises CommandError."""
 
     @abstractmethod

@@ -25,7 +25,7 @@ MAX_WAITING = 2**28
 """Maximum size in bytes of the images held back until a state arrives; the oldest are dropped."""
 
 
-Pair = Tuple[Image, PlanarState]
+StampedPair = Tuple[Image, PlanarState]
 """An image of the model's size, and the arm state interpolated at its stamp."""
 
 
@@ -47,7 +47,7 @@ class RecordedPairs:
         self.rejected: Counter = Counter()
         """Number of rejected images by reason."""
 
-    def add_image(self, image: Image) -> Iterator[Pair]:
+    def add_image(self, image: Image) -> Iterator[StampedPair]:
         """Add an image and yield the pairs it completes; a repetition is skipped."""
         identity = image.header.stamp.to_nsec(), zlib.crc32(image.data)
         if identity in self._seen:
@@ -62,7 +62,7 @@ class RecordedPairs:
             self._waiting.popleft()
         return self._pairs()
 
-    def add_state(self, state: PlanarState) -> Iterator[Pair]:
+    def add_state(self, state: PlanarState) -> Iterator[StampedPair]:
         """Add an arm state and yield the pairs it completes."""
         self._poses.add(state)
         try:
@@ -71,14 +71,14 @@ class RecordedPairs:
             self.rejected[str(error)] += 1
         return self._pairs()
 
-    def _pairs(self) -> Iterator[Pair]:
+    def _pairs(self) -> Iterator[StampedPair]:
         newest = self._poses.newest
         while newest is not None and self._waiting and self._waiting[0].header.stamp <= newest:
             pair = self._pair(self._waiting.popleft())
             if pair is not None:
                 yield pair
 
-    def _pair(self, image: Image) -> Optional[Pair]:
+    def _pair(self, image: Image) -> Optional[StampedPair]:
         stamp = image.header.stamp
         last = None if self._last is None else self._last.header.stamp
         if not is_due(stamp, last, self._step):

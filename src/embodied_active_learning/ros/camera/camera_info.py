@@ -26,7 +26,7 @@ _NEGLIGIBLE = 0.5  # pixels of the model's image: below this, images are not rec
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ImageCalibration:
     """What the calibration of a camera means for the model's images."""
 
     source: str
@@ -38,7 +38,7 @@ class Calibration:
     """Why positions on the table are wrong, with numbers; empty if they are right."""
 
 
-def calibrate(info: Optional[CameraInfo], framing: Framing, camera: CameraConfig) -> Calibration:
+def image_calibration(info: Optional[CameraInfo], framing: Framing, camera: CameraConfig) -> ImageCalibration:
     """Derive camera_info and rectification of the model's images from the driver's camera_info.
 
     Positions on the table are computed from camera/field_of_view, for a pinhole camera with square pixels and centred
@@ -49,9 +49,9 @@ def calibrate(info: Optional[CameraInfo], framing: Framing, camera: CameraConfig
     assumed = _assumed_info(framing, camera)
     uncalibrated = f"camera/field_of_view, without a calibration on {topic} for such pictures"
     if info is None or not is_calibrated(info):
-        return Calibration(uncalibrated, assumed)
+        return ImageCalibration(uncalibrated, assumed)
     if (info.height, info.width) != framing.source:
-        return Calibration(
+        return ImageCalibration(
             uncalibrated,
             assumed,
             warning=f"the calibration on {topic} is for {info.width} x {info.height} pixels, the camera's pictures "
@@ -60,7 +60,7 @@ def calibrate(info: Optional[CameraInfo], framing: Framing, camera: CameraConfig
     try:
         lens = LensModel(info)
     except ValueError as error:
-        return Calibration(
+        return ImageCalibration(
             f"the calibration on {topic}",
             _framed_info(info, framing),
             warning=f"cannot use the calibration on {topic}: {error}; rectify the pictures with image_proc",
@@ -87,26 +87,26 @@ def error_tolerance(camera: CameraConfig) -> float:
     return FIELD_TOLERANCE * metres_per_pixel(camera) * math.hypot(camera.width, camera.height) / 2.0
 
 
-def _apply_lens(lens: LensModel, info: CameraInfo, framing: Framing, camera: CameraConfig) -> Calibration:
+def _apply_lens(lens: LensModel, info: CameraInfo, framing: Framing, camera: CameraConfig) -> ImageCalibration:
     """Rectify if needed and possible, else warn."""
     source, summary = f"the calibration on {rospy.resolve_name(names.USB_CAM_INFO)}", _summary(info, framing)
     framed = _framed_info(info, framing)
     error = table_error(lens, framing, camera)
     if error <= _NEGLIGIBLE * metres_per_pixel(camera):
-        return Calibration(source, framed)
+        return ImageCalibration(source, framed)
     covered = covered_field_of_view(lens, framing, camera.field_of_view)
     if covered >= camera.field_of_view:
         source = f"camera/field_of_view; pictures are rectified by {source}: {summary}"
         source += f", up to {1000 * error:.1f} mm on the table"
-        return Calibration(source, _assumed_info(framing, camera), Rectification(lens, framing, camera))
+        return ImageCalibration(source, _assumed_info(framing, camera), Rectification(lens, framing, camera))
     if error <= error_tolerance(camera):
-        return Calibration(source, framed)
+        return ImageCalibration(source, framed)
     warning = (
         f"positions on the table are wrong by up to {1000 * error:.1f} mm: camera/field_of_view is "
         f"{camera.field_of_view:.1f} degrees, the calibrated camera has {summary}; set camera/field_of_view to "
         f"{np.floor(10 * covered) / 10:.1f} or less, so that the pictures can be rectified"
     )
-    return Calibration(source, framed, warning=warning)
+    return ImageCalibration(source, framed, warning=warning)
 
 
 def _assumed_info(framing: Framing, camera: CameraConfig) -> CameraInfo:

@@ -9,7 +9,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.images import Framing, decode_compressed, decode_raw
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.camera.camera_info import Calibration, calibrate
+from embodied_active_learning.ros.camera.camera_info import ImageCalibration, image_calibration
 from embodied_active_learning.ros.conversions import image_message
 
 Picture = Union[Image, CompressedImage]
@@ -23,7 +23,7 @@ class ImageConverter:
         self._info: Optional[CameraInfo] = None
         self._framing: Optional[Framing] = None
         self._outdated = True
-        self.calibration: Optional[Calibration] = None
+        self.calibration: Optional[ImageCalibration] = None
         """Calibration of the last picture; None before the first."""
         self.format = "unknown"
         """Size and encoding of the last picture."""
@@ -61,10 +61,10 @@ class ImageConverter:
         info.header = image.header
         return image, info
 
-    def _calibrate(self, framing: Framing) -> Calibration:
+    def _calibrate(self, framing: Framing) -> ImageCalibration:
         if self.calibration is None or self._outdated or framing != self._framing:
             self._outdated, self._framing = False, framing
-            self.calibration = calibrate(self._info, framing, self._camera)
+            self.calibration = image_calibration(self._info, framing, self._camera)
         return self.calibration
 
 

@@ -131,9 +131,9 @@ class PoseBuffer:
 
 def interpolate(before: PlanarState, after: PlanarState, stamp: rospy.Time) -> PlanarState:
     """Interpolate linearly between two states at a stamp; yaw along the shorter arc."""
-    share = (stamp - before.header.stamp).to_sec() / (after.header.stamp - before.header.stamp).to_sec()
+    weight = (stamp - before.header.stamp).to_sec() / (after.header.stamp - before.header.stamp).to_sec()
     (state, velocity), (_, velocity_after) = state_arrays(before), state_arrays(after)
-    state, velocity = state + share * _change(before, after), velocity + share * (velocity_after - velocity)
+    state, velocity = state + weight * _change(before, after), velocity + weight * (velocity_after - velocity)
     header = type(before.header)(stamp=stamp, frame_id=before.header.frame_id)
     return PlanarState(header, *state.tolist(), *velocity.tolist())
 

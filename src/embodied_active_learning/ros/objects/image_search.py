@@ -16,7 +16,7 @@ from embodied_active_learning.ros.planner.open_places import OpenPlacesPublisher
 from embodied_active_learning.ros.planner.trainer_client import save_model
 from embodied_active_learning.ros.runtime.diagnostics import Rate
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
-from embodied_active_learning.ros.runtime.task_server import Progress
+from embodied_active_learning.ros.runtime.task_server import TaskProgress
 from embodied_active_learning.ros.rviz.beliefs import RvizBeliefs
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.session.paths import SessionPaths
@@ -40,7 +40,7 @@ class ImageSearch:
         self.images = Rate()
 
     def open_run(
-        self, name: str, sessions: List[str], images: int, replay: str, overwrite: bool, progress: Progress
+        self, name: str, sessions: List[str], images: int, replay: str, overwrite: bool, progress: TaskProgress
     ) -> IdentificationRun:
         """Read the fingerprints and open the session with the images; wait for the first image of a running one.
 
@@ -57,7 +57,7 @@ class ImageSearch:
             path, sets, name, wanted, self._config.identification, overwrite, must_be_stored=bool(replay)
         )
 
-    def search(self, run: IdentificationRun, progress: Progress) -> List[Decision]:
+    def search(self, run: IdentificationRun, progress: TaskProgress) -> List[Decision]:
         """Process images until everything is decided or all are processed; store and publish the decisions."""
         self._process_images(run, progress)
         progress.report("deciding")
@@ -80,7 +80,7 @@ class ImageSearch:
             name = self._config.session.name
             rospy.loginfo("model of the searched workspace: session %s; learn.launch resume:=true continues it", name)
 
-    def _running_session(self, images: int, progress: Progress) -> Path:
+    def _running_session(self, images: int, progress: TaskProgress) -> Path:
         """Return the folder of the running session once it has an image."""
         path, steps = session_path(self._config), self._config.exploration.steps
         if images > steps:
@@ -97,7 +97,7 @@ class ImageSearch:
         wait_until(has_image, lambda: f"the first image of {path}")
         return path
 
-    def _process_images(self, run: IdentificationRun, progress: Progress) -> None:
+    def _process_images(self, run: IdentificationRun, progress: TaskProgress) -> None:
         """Process images until the run is complete; log and publish the beliefs periodically."""
         publish_at = log_at = time.monotonic() + _POLL_PERIOD
         while not run.complete:

@@ -25,7 +25,7 @@ from embodied_active_learning.ros.conversions import image_array, image_message,
 from embodied_active_learning.ros.objects.task_arm import TaskArm
 from embodied_active_learning.ros.runtime.diagnostics import Health
 from embodied_active_learning.ros.runtime.node import try_to_draw
-from embodied_active_learning.ros.runtime.task_server import Progress
+from embodied_active_learning.ros.runtime.task_server import TaskProgress
 
 
 class PlaceVisitor:
@@ -41,7 +41,7 @@ class PlaceVisitor:
         """Add the state of the arm to a diagnostic status, once it is used."""
         return self._arm.health(active)
 
-    def visit_found(self, run: IdentificationRun, decisions: Sequence[Decision], progress: Progress) -> None:
+    def visit_found(self, run: IdentificationRun, decisions: Sequence[Decision], progress: TaskProgress) -> None:
         """Visit the objects found, undecided and unknown; draw the pictures into the results of the identification.
 
         Raises:
@@ -59,7 +59,7 @@ class PlaceVisitor:
             figure = try_to_draw(draw_visits, run.folder / "visits.png", visits, run.config.session.pdf_figures)
             rospy.loginfo("visited %d of %d places\n  figure   %s", len(visits), len(destinations), figure or "none")
 
-    def visit(self, destinations: Sequence[Destination], progress: Progress) -> List[Visit]:
+    def visit(self, destinations: Sequence[Destination], progress: TaskProgress) -> List[Visit]:
         """Visit places one after the other. Return the visits.
 
         A place that is not reached is reported and skipped; a stopped arm, or none, ends the visits.

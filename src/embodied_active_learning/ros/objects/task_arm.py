@@ -16,7 +16,7 @@ from embodied_active_learning.ros.planner.pause import PlannerPause
 from embodied_active_learning.ros.runtime.diagnostics import Health
 from embodied_active_learning.ros.runtime.node import wall_sleep
 from embodied_active_learning.ros.runtime.services import is_advertised
-from embodied_active_learning.ros.runtime.task_server import Progress
+from embodied_active_learning.ros.runtime.task_server import TaskProgress
 
 TIMEOUT = 15.0
 """Wall seconds to wait for a busy arm or a missing image before a command fails."""
@@ -36,7 +36,7 @@ class TaskArm:
         return active if self._arm is None else self._arm.health(active)
 
     @contextmanager
-    def lent(self, progress: Progress) -> Iterator[RetryingArm]:
+    def lent(self, progress: TaskProgress) -> Iterator[RetryingArm]:
         """Provide the arm during the block.
 
         Raises:

@@ -12,7 +12,7 @@ from embodied_active_learning.ros.arm.retrying_arm import RetryingArm
 from embodied_active_learning.ros.conversions import image_array, state_arrays
 from embodied_active_learning.ros.objects.task_arm import TaskArm
 from embodied_active_learning.ros.runtime.diagnostics import Health, Rate
-from embodied_active_learning.ros.runtime.task_server import Progress
+from embodied_active_learning.ros.runtime.task_server import TaskProgress
 
 if TYPE_CHECKING:
     from embodied_active_learning.pipeline.fingerprinting import FingerprintRun  # slow import of the model
@@ -35,7 +35,7 @@ class ViewCollector:
         active.values.update({"views": self._views.count, "views per second": round(self._views.per_second, 2)})
         return self._arm.health(active)
 
-    def collect(self, run: FingerprintRun, progress: Progress) -> None:
+    def collect(self, run: FingerprintRun, progress: TaskProgress) -> None:
         """Fill all collections of a run.
 
         Raises:
@@ -49,7 +49,7 @@ class ViewCollector:
                     self._fill(name, collection, arm, progress)
                 run.require_complete(name)
 
-    def _fill(self, name: str, collection: ViewCollection, arm: RetryingArm, progress: Progress) -> None:
+    def _fill(self, name: str, collection: ViewCollection, arm: RetryingArm, progress: TaskProgress) -> None:
         """Take the views of one object."""
         camera, views = self._config.camera, self._config.fingerprint.views
         progress.report(name, 0, views)

@@ -31,7 +31,7 @@ _STATUS_PERIOD = 0.2
 """Wall seconds between messages on the action's status topic: actionlib's default."""
 
 
-class Progress:
+class TaskProgress:
     """Progress of a running task."""
 
     def __init__(
@@ -75,7 +75,7 @@ class Progress:
             thread.join()
 
 
-Run = Callable[[Any, Progress], Dict[str, Any]]
+Run = Callable[[Any, TaskProgress], Dict[str, Any]]
 """Runs the task for a request or goal and returns the fields of the response or result."""
 
 
@@ -125,7 +125,7 @@ class TaskServer:
         with self._task.call():
             self._service_cancelled.clear()
             caller = Caller(request._connection_header.get("callerid", ""), connection)
-            progress = Progress(self._task, lambda: self._service_cancelled.is_set() or caller.has_left())
+            progress = TaskProgress(self._task, lambda: self._service_cancelled.is_set() or caller.has_left())
             return self._service_class._response_class(success=True, **self._run(request, progress))
 
     def _cancel_service(self, message: GoalID) -> None:
@@ -156,7 +156,7 @@ class TaskServer:
 
         try:
             with self._task.call():
-                progress = Progress(self._task, self._cancelled[identifier].is_set, publish)
+                progress = TaskProgress(self._task, self._cancelled[identifier].is_set, publish)
                 fields = self._run(handle.get_goal(), progress)
             handle.set_succeeded(make_result(**fields), fields["message"])
         except TaskCancelledError as error:

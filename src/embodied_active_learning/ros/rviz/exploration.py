@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.pipeline.exploration import Assessment, ExplorationRun
+from embodied_active_learning.pipeline.exploration import ExplorationRun, StepMetrics
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import cloud_message, path_message, workspace_marker
 
@@ -35,7 +35,7 @@ class RvizExploration:
         self._step_shown_at = 0.0
         self._plan_shown_at = 0.0
 
-    def show_step(self, stamp: rospy.Time, run: ExplorationRun, assessment: Assessment, last: bool = False) -> None:
+    def show_step(self, stamp: rospy.Time, run: ExplorationRun, metrics: StepMetrics, last: bool = False) -> None:
         """Publish the step unless the display is recent or has no subscribers; always publish the last step."""
         now = time.monotonic()
         is_watched = any(p.get_num_connections() for p in (self._travelled, self._target, self._time_average))
@@ -44,8 +44,8 @@ class RvizExploration:
         self._step_shown_at = now
         samples = run.sample_states
         self._travelled.publish(path_message(stamp, run.travelled_states, self._height))
-        self._target.publish(_relief(stamp, samples, assessment.target, 0.0))
-        self._time_average.publish(_relief(stamp, samples, assessment.time_average, self._height / 2.0))
+        self._target.publish(_relief(stamp, samples, metrics.target, 0.0))
+        self._time_average.publish(_relief(stamp, samples, metrics.time_average, self._height / 2.0))
 
     def show_plan(self, stamp: rospy.Time, states: np.ndarray) -> None:
         """Publish the planned states (H, 3) [m, m, rad], if any, unless the display is recent or has no subscribers."""

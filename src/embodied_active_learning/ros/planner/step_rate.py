@@ -8,7 +8,7 @@ from typing import Callable, Dict, Optional
 from embodied_active_learning.ros.runtime.diagnostics import Rate, rounded
 
 
-class Pace:
+class StepRate:
     """Measures the rate of the exploration steps and counts overruns."""
 
     def __init__(self, max_duration: float, clock: Callable[[], float] = time.monotonic) -> None:

@@ -7,7 +7,7 @@ import torch
 
 from embodied_active_learning.config import ModelConfig
 from embodied_active_learning.model.cvae import LatentGaussian
-from embodied_active_learning.model.objective import (
+from embodied_active_learning.model.loss import (
     PlainLoss,
     kl_divergence,
     negative_log_likelihood,

@@ -9,7 +9,7 @@ import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.msg import PlanarState, TargetDistribution
-from embodied_active_learning.pipeline.exploration import Assessment, ExplorationRun, exploration_row
+from embodied_active_learning.pipeline.exploration import ExplorationRun, StepMetrics, exploration_row
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import state_arrays
 from embodied_active_learning.ros.rviz.exploration import RvizExploration
@@ -19,7 +19,7 @@ from embodied_active_learning.session.tables import COLUMNS, Table, read_table
 TABLE = "exploration"
 
 
-class ExplorationPublisher:
+class ExplorationOutput:
     """Publishes and records the steps of a run."""
 
     def __init__(self, config: Config, session: Path, steps_done: int) -> None:
@@ -32,19 +32,19 @@ class ExplorationPublisher:
         self.last_step = int(rows["step"][-1]) if len(rows["step"]) else 0
         """The newest step in the table."""
         self.effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
-        """Effort after that step, see Assessment."""
+        """Effort after that step, see StepMetrics."""
 
-    def report(self, state: PlanarState, run: ExplorationRun, assessment: Assessment, last: bool) -> None:
+    def report(self, state: PlanarState, run: ExplorationRun, metrics: StepMetrics, last: bool) -> None:
         """Publish the step that ended in a state; append its row unless it was written before a resume.
 
         last: whether it is the last step of the run.
         """
-        if assessment.step > self.last_step:
+        if metrics.step > self.last_step:
             stamp, (pose, _) = state.header.stamp.to_sec(), state_arrays(state)
-            self._table.append(exploration_row(stamp, pose, assessment))
-            self.last_step = assessment.step
-        self._publisher.publish(_message(state, run, assessment))
-        self._rviz.show_step(state.header.stamp, run, assessment, last=last)
+            self._table.append(exploration_row(stamp, pose, metrics))
+            self.last_step = metrics.step
+        self._publisher.publish(_message(state, run, metrics))
+        self._rviz.show_step(state.header.stamp, run, metrics, last=last)
 
     def report_plan(self, stamp: rospy.Time, states: np.ndarray) -> None:
         """Publish the planned states (H, 3) [m, m, rad] of the next command."""
@@ -55,16 +55,16 @@ class ExplorationPublisher:
         self._table.close()
 
 
-def _message(state: PlanarState, run: ExplorationRun, assessment: Assessment) -> TargetDistribution:
+def _message(state: PlanarState, run: ExplorationRun, metrics: StepMetrics) -> TargetDistribution:
     return TargetDistribution(
         header=state.header,
-        step=assessment.step,
+        step=metrics.step,
         states=run.sample_states.ravel().tolist(),
-        target=assessment.target.tolist(),
-        time_average=assessment.time_average.tolist(),
-        coverage=assessment.coverage,
-        ergodic_measure=assessment.ergodic_measure,
-        distance=assessment.distance,
-        turning=assessment.turning,
-        effort=assessment.effort,
+        target=metrics.target.tolist(),
+        time_average=metrics.time_average.tolist(),
+        coverage=metrics.coverage,
+        ergodic_measure=metrics.ergodic_measure,
+        distance=metrics.distance,
+        turning=metrics.turning,
+        effort=metrics.effort,
     )

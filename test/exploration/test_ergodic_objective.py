@@ -10,7 +10,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.exploration.controller import ErgodicController, Plan
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
-from embodied_active_learning.exploration.objective import Barrier, ErgodicObjective
+from embodied_active_learning.exploration.ergodic_objective import Barrier, ErgodicObjective
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 
 VARIANCE = 0.2  # wide enough that no sample of a short history is at the floor, where J has no gradient
