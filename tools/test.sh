@@ -2,7 +2,7 @@
 # Runs the tests and prints their count. The first argument selects them, the others go to pytest:
 #   tools/test.sh unit    tests without nodes, in parallel on all cores
 #   tools/test.sh all     these, then the tests with nodes, two files at a time
-#   tools/test.sh all test/ground/test_config.py -k unknown
+#   tools/test.sh all test/base/test_config.py -k unknown
 set -eo pipefail  # not -u: ROS's setup files read unset variables
 cd "$(dirname "$0")/.."
 source ./setup.bash

@@ -30,7 +30,7 @@ class ObservationError(EmbodiedActiveLearningError, ValueError):
 
 
 class CommandError(EmbodiedActiveLearningError, ValueError):
-    """A motion command was rejected; the arm does not move."""
+    """A motion command was rejected, so the arm does not move, or it failed as the subclass states."""
 
 
 class ArmFailedError(CommandError):

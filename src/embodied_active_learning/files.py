@@ -62,7 +62,7 @@ class FileReader:
 
     Attributes:
         error: Exception class for all problems.
-        remedy: End of each message.
+        remedy: End of each message about the content; with `follow`, other messages end with a remedy of their own.
         limit: Largest file that is read [bytes].
         follow: Accept symbolic links, as for files of users; the files of a session are never links.
     """
@@ -143,9 +143,11 @@ class FileReader:
         return size
 
     def _unreadable(self, path: Path, error: Exception) -> EmbodiedActiveLearningError:
+        # A user's file may have another path or owner; a file of a session has to be restored.
+        remedy = "check path and permissions" if self.follow else self.remedy
         if isinstance(error, FileNotFoundError):
-            return self.refuse(path, "is missing")
-        return self.refuse(path, f"cannot be read ({getattr(error, 'strerror', None) or error})")
+            return self.error(f"{path} is missing: {remedy}")
+        return self.error(f"{path} cannot be read ({getattr(error, 'strerror', None) or error}): {remedy}")
 
 
 def parse_yaml(text: str) -> Any:

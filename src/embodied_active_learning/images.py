@@ -106,7 +106,8 @@ def decode_compressed(data: bytes) -> np.ndarray:
     try:
         height, width = encoded_size(data)
     except ValueError as error:
-        raise ObservationError(f"compressed image {error}: {_REMEDY}") from None
+        remedy = _REMEDY if data.startswith(tuple(_SIZE_OF)) else "set the compression of the camera driver"
+        raise ObservationError(f"compressed image {error}: {remedy}") from None
     _check_size(height, width)
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -124,7 +125,9 @@ def encoded_size(data: bytes) -> Tuple[int, int]:
     """
     size_of = next((size_of for start, size_of in _SIZE_OF.items() if data.startswith(start)), None)
     if size_of is None:
-        raise ValueError(f"begins with {data[:4].hex(' ') or 'nothing'}: it can be JPEG or PNG")
+        raise ValueError(
+            f"has an unsupported format (it begins with {data[:4].hex(' ') or 'nothing'}, expected JPEG or PNG)"
+        )
     try:
         return size_of(data)
     except ValueError as error:

@@ -13,8 +13,8 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.workspace import STATE_NAMES
 
-# Braking is planned with this share of the acceleration; the rest compensates small deviations of the arm.
-_PLANNED_BRAKING = 0.9
+PLANNED_BRAKING = 0.9
+"""Fraction of the acceleration limit with which braking is planned; the rest compensates deviations of the arm."""
 # Share of the top speed below which a changed velocity is not reported.
 _NOTICEABLE = 0.01
 _MIN_PERIOD, _MAX_PERIOD = 1e-6, 1.0  # s
@@ -160,7 +160,7 @@ class MotionLimits:
     def travel_time(self, pose: Sequence[float], target: Sequence[float]) -> float:
         """Return an upper bound of the time from rest at a pose (3,) to rest at a target (3,) [s]."""
         return max(
-            abs(goal - at) / axis.top_speed + axis.top_speed / (_PLANNED_BRAKING * axis.acceleration)
+            abs(goal - at) / axis.top_speed + axis.top_speed / (PLANNED_BRAKING * axis.acceleration)
             for goal, at, axis in zip(target, pose, self._axes)
         )
 
@@ -178,7 +178,7 @@ def _speed_to_stop_in(room: float, axis: _Axis, period: float) -> float:
     n = floor(u / b), it takes the distance period * ((n + 1) u - b n (n + 1) / 2), which is inverted here.
     """
     distance, top = abs(room), axis.top_speed
-    braking = _PLANNED_BRAKING * axis.acceleration
+    braking = PLANNED_BRAKING * axis.acceleration
     if distance >= top * (0.5 * top / braking + period):  # never less than the braking distance from top speed
         return math.copysign(top, room)
     step = braking * period

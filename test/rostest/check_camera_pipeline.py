@@ -162,7 +162,7 @@ class CameraPipelineTest(unittest.TestCase):
         status = next(status for status in status_array.status if "bayer_rggb8" in status.message)
         self.assertEqual(status.level, status.WARN)
         values = {item.key: item.value for item in status.values}
-        self.assertGreaterEqual(int(values["pictures dropped"]), 1)
+        self.assertGreaterEqual(int(values["images dropped"]), 1)
         self.log.wait_for(lambda message: "dropped" in message.msg and "bayer_rggb8" in message.msg)
         self.show(checkerboard(), "rgb8")
 

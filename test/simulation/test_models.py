@@ -206,8 +206,11 @@ def test_bounding_box_ignores_unused_vertices(tmp_path):
             {"thing.mtl": "newmtl g\nmap_Kd p.png", "p.png": "version https://git-lfs.github.com/spec/v1\n"},
             "p.png is a Git LFS pointer",
         ),
-        ({"thing.mtl": "newmtl g\nmap_Kd p.png", "p.png": "GIF89a"}, "p.png begins with .*: it can be JPEG or PNG"),
-        ({"thing.mtl": "newmtl g\nmap_Kd p.png", "p.png": "\x89"}, "p.png begins with"),
+        (
+            {"thing.mtl": "newmtl g\nmap_Kd p.png", "p.png": "GIF89a"},
+            "p.png has an unsupported format .*JPEG or PNG",
+        ),
+        ({"thing.mtl": "newmtl g\nmap_Kd p.png", "p.png": "\x89"}, "p.png has an unsupported format"),
     ],
 )
 def test_unusable_material_is_rejected(tmp_path, files, words):

@@ -243,6 +243,7 @@ def test_image_format(scene):
 def test_invalid_texture_is_rejected(scene, tmp_path):
     (tmp_path / "texture.png").write_text("no image", encoding="utf-8")
     with pytest.raises(
-        WorldError, match=r"texture.png begins with 6e 6f 20 69: it can be JPEG or PNG; convert it to PNG"
+        WorldError,
+        match=r"texture.png has an unsupported format .it begins with 6e 6f 20 69, .*; convert it to PNG",
     ):
         scene("table: {texture: texture.png}")

@@ -148,7 +148,7 @@ class FrankaDriver:
             self._changed.notify_all()
 
     def tick(self) -> Optional[CameraPose]:
-        """Advance the motion by the wall time since the last tick -> the set-point to send; None: send none."""
+        """Advance the motion by the wall time since the last tick; return the set-point to send, if any."""
         with self._changed:
             now = self._clock()
             period, self._ticked_at = now - self._ticked_at, now
@@ -188,7 +188,7 @@ class FrankaDriver:
             return self._reached(limited)
 
     def go_to(self, pose: Sequence[float], stop: StopSignal) -> Reached:
-        """Move straight to a planar pose (3,) [m, m, rad] within the limits and stop there -> the state then.
+        """Move straight to a planar pose (3,) [m, m, rad] within the limits and stop there; return the state then.
 
         Raises:
             CommandError: The pose is outside the workspace.
@@ -212,7 +212,7 @@ class FrankaDriver:
             return self._reached(False)
 
     def stop(self) -> Reached:
-        """Bring the arm to rest in any condition of the robot -> the state then.
+        """Bring the arm to rest in any condition of the robot; return the state then.
 
         Raises ArmFailedError if the arm does not come to rest, or this cannot be verified.
         """
@@ -226,7 +226,7 @@ class FrankaDriver:
             return self._reached(False)
 
     def wait_until_ready(self, timeout: float) -> bool:
-        """Wait up to a timeout [s] until the robot is ready -> whether it is."""
+        """Wait up to a timeout [s] until the robot is ready; return whether it is."""
         with self._changed:
             deadline = self._clock() + timeout
             while not self._update_readiness().is_ready and self._clock() < deadline:

@@ -10,13 +10,12 @@ import math
 from typing import List, NamedTuple
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.motion_limits import PLANNED_BRAKING
 
 FILTER_TIME = 0.2
 """Time constant of the controller's set-point filter, s."""
 _STATE_PERIOD = 1.0 / 30.0
 """Age of the robot's newest state just before the next arrives, s."""
-_PLANNED_BRAKING = 0.9
-"""Part of the acceleration limit with which braking is planned, see motion_limits."""
 
 
 class LinearAngular(NamedTuple):
@@ -71,4 +70,4 @@ def lead_warnings(config: Config) -> List[str]:
 
 def _reserve(speed: float, acceleration: float) -> float:
     """Braking distance plus the motion until the next state."""
-    return speed**2 / (2.0 * _PLANNED_BRAKING * acceleration) + speed * _STATE_PERIOD
+    return speed**2 / (2.0 * PLANNED_BRAKING * acceleration) + speed * _STATE_PERIOD

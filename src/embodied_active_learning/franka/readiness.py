@@ -108,7 +108,7 @@ class Readiness:
         return self._recovery_error
 
     def update(self, report: Report) -> Condition:
-        """Evaluate a report -> the robot's condition now."""
+        """Evaluate a report; return the robot's condition now."""
         self._report = report
         now = self._clock()
         self._hold_after_manual_stop(report)

@@ -133,7 +133,7 @@ class Learner:
             trainers: See prepare().
 
         Raises:
-            DivergenceError: Five losses or gradients in a row were not finite, or too large.
+            DivergenceError: ATTEMPTS losses or gradients in a row were not finite, or too large.
         """
         self.prepare(trainers)
         number, beta, gamma = self.updates, self.schedule.beta, self.schedule.gamma

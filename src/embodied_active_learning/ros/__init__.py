@@ -1,1 +1,1 @@
-"""What the nodes share to talk ROS: the only part of the library that imports rospy."""
+"""ROS layer of the nodes: the only part of the library that imports rospy."""

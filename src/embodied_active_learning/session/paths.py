@@ -47,5 +47,5 @@ class SessionPaths:
             stays_inside(self.path, part)
 
     def table(self, name: str) -> Path:
-        """Return the file of a table: exploration, training, evaluation or stopping."""
+        """Return the file of a table of tables.COLUMNS."""
         return self.path / f"{name}.csv"

@@ -99,7 +99,7 @@ class Session:
         return ObservationStore.open_for_writing(self.paths.observations, workspace, shape, capacity)
 
     def open_table(self, name: str) -> Table:
-        """Open a table to append to: exploration, training, evaluation or stopping.
+        """Open a table of tables.COLUMNS to append to.
 
         Each table has its own lock, so that planner and trainer can write different ones.
         """

@@ -1,4 +1,4 @@
-"""summary.yaml: the result of a run, written when the run finishes."""
+"""summary.yaml: the result of a run, written when the run finishes or is interrupted (finished: false)."""
 
 from __future__ import annotations
 

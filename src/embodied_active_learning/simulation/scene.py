@@ -160,7 +160,7 @@ class Scene:
             return bodies
 
     def _place(self, item: PlacedObject, mesh: Path) -> int:
-        """Create the body of an object -> its id."""
+        """Create the body of an object; return its id."""
         model, yaw = item.model, pybullet.getQuaternionFromEuler((0.0, 0.0, item.yaw))
         try:
             shape = pybullet.createVisualShape(

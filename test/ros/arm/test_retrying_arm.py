@@ -577,7 +577,7 @@ def test_restore_of_unknown_state_is_not_retried(simulated):
 
 def test_restore_rejects_another_state_of_that_stamp(simulated):
     retrying = retrying_arm.RetryingArm(Config())
-    with pytest.raises(CommandError, match="was elsewhere"):
+    with pytest.raises(CommandError, match="restore failed"):
         retrying.restore(state_message(rospy.Time(1), (0.4, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 

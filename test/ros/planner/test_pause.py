@@ -7,6 +7,7 @@ from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.planner import pause
 from embodied_active_learning.ros.planner.pause import PlannerPause
+from embodied_active_learning.ros.planner.pause_server import PauseRequests
 
 
 class Planner:
@@ -14,9 +15,13 @@ class Planner:
 
     def __init__(self):
         self.exists = True
-        self.is_paused = False
+        self.requests = PauseRequests()
         self.failing_calls = 0
         self.stored = None
+
+    @property
+    def is_paused(self):
+        return bool(self.requests.text)
 
     def trigger(self, name):
         if not self.exists:
@@ -24,8 +29,9 @@ class Planner:
         if self.failing_calls:
             self.failing_calls -= 1
             raise EmbodiedActiveLearningError(f"{name} did not respond")
-        before, self.is_paused = self.is_paused, name == names.PLANNER_PAUSE
-        return TriggerResponse(before != self.is_paused, "")
+        change = self.requests.add if name == names.PLANNER_PAUSE else self.requests.release
+        change("/fingerprinter")
+        return TriggerResponse(True, "")
 
 
 @pytest.fixture
@@ -40,7 +46,7 @@ def planner(monkeypatch):
 
 def test_planner_paused_during_block_only(planner):
     def fail():
-        with PlannerPause().held():
+        with PlannerPause().paused():
             assert planner.is_paused
             raise KeyError
 
@@ -51,26 +57,26 @@ def test_planner_paused_during_block_only(planner):
 
 
 def test_planner_paused_before_stays_paused(planner):
-    planner.is_paused = True
-    with PlannerPause().held():
+    planner.requests.add("/rosservice_1")
+    with PlannerPause().paused():
         pass
     assert planner.is_paused
 
 
 def test_pause_without_planner_does_nothing(planner):
     planner.exists = False
-    with PlannerPause().held():
+    with PlannerPause().paused():
         assert planner.stored() == ""
 
 
 def test_resume_retried_if_planner_does_not_respond(planner):
-    with PlannerPause().held():
+    with PlannerPause().paused():
         planner.failing_calls = 2
     assert not planner.is_paused
 
 
 def test_restarted_node_ends_pause_of_its_predecessor(planner):
-    killed = PlannerPause().held()
+    killed = PlannerPause().paused()
     killed.__enter__()
     PlannerPause().resume_if_left()
     assert not planner.is_paused
@@ -78,8 +84,8 @@ def test_restarted_node_ends_pause_of_its_predecessor(planner):
 
 
 def test_restarted_node_keeps_pause_of_others(planner):
-    with PlannerPause().held():
+    with PlannerPause().paused():
         pass
-    planner.is_paused = True
+    planner.requests.add("/rosservice_1")
     PlannerPause().resume_if_left()
     assert planner.is_paused

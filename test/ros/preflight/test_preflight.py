@@ -372,10 +372,10 @@ def test_unreachable_node_is_named():
     assert result.message == "no connection to /franka_arm at 10.77.0.1 (Name or service not known)"
 
 
-def test_stale_parameters_have_remedies():
-    assert levels(computer.check_stale_parameters({"/failure": "", "/franka_arm/stopped_by": ""})) == ["OK"]
+def test_persistent_parameters_have_remedies():
+    assert levels(computer.check_persistent_parameters({"/failure": "", "/franka_arm/stopped_by": ""})) == ["OK"]
     values = {"/failure": "/trainer: disk full", "/franka_arm/stopped_by": "an operator"}
-    results = computer.check_stale_parameters(values)
+    results = computer.check_persistent_parameters(values)
     assert levels(results) == ["WARNING", "WARNING"]
     assert "/arm/recover" in results[1].remedy
 

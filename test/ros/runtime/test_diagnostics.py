@@ -73,8 +73,8 @@ def test_wait_ends_on_exception():
     ("health", "seconds", "level", "message"),
     [
         (Health(OK, "exploring"), 0.5, OK, "exploring"),
-        (Health(OK, "exploring"), 3.0, OK, "waiting for the arm (since 3 s)"),
-        (Health(OK, "exploring"), 12.0, WARN, "waiting for the arm (since 12 s)"),
+        (Health(OK, "exploring"), 3.0, OK, "waiting for the arm for 3 s"),
+        (Health(OK, "exploring"), 12.0, WARN, "waiting for the arm for 12 s"),
         (Health(OK, "paused", idle=True), 12.0, OK, "paused"),
         (Health(ERROR, "disk full"), 12.0, ERROR, "disk full"),
     ],

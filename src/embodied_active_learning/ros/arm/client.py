@@ -43,15 +43,15 @@ class ArmClient:
         self._can_restore = is_advertised(names.ARM_RESTORE)
 
     def move(self, velocity: Sequence[float], duration: float) -> PlanarState:
-        """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s] -> the state reached. Raises CommandError."""
+        """Hold velocity (3,) [m/s, m/s, rad/s] for a duration [s]; return the state reached. Raises CommandError."""
         return _command(self._move, *map(float, velocity), duration)
 
     def go_to(self, pose: Sequence[float]) -> PlanarState:
-        """Move to pose (3,) [m, m, rad] and stop there -> the state reached. Raises CommandError."""
+        """Move to pose (3,) [m, m, rad] and stop there; return the state reached. Raises CommandError."""
         return _command(self._go_to, *map(float, pose))
 
     def restore(self, stamp: rospy.Time) -> PlanarState:
-        """Return the simulated arm to its state at a stamp -> that state. Raises CommandError."""
+        """Return the simulated arm to its state at a stamp; return that state. Raises CommandError."""
         return _command(self._restore, stamp)
 
     def stop(self) -> None:
@@ -62,7 +62,7 @@ class ArmClient:
             raise ArmFailedError(response.message)
 
     def heartbeat(self) -> bool:
-        """Extend this node's control of the arm -> whether the arm granted it. Raises CommandError."""
+        """Extend this node's control of the arm; return whether the arm granted it. Raises CommandError."""
         return _call(self._heartbeat).success
 
 

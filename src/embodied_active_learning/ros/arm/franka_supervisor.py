@@ -105,7 +105,7 @@ class FrankaSupervisor:
             self.update_controllers()
 
     def _clear_errors(self) -> bool:
-        """Recover the robot from its errors -> whether it has to be prepared again. Raises RobotError.
+        """Recover the robot from its errors; return whether it has to be prepared again. Raises RobotError.
 
         franka_control from 0.10.2 on recovers only from errors that have ended a motion of its own. It ignores one from
         before its start until a controller is started and its motion is rejected.
@@ -225,13 +225,17 @@ class FrankaSupervisor:
             time.sleep(PERIOD)
             if not self._driver.why_not_ready():
                 continue
-            with log_wait(lambda: f"the robot: {self._driver.why_not_ready() or 'ready now'}", delay=1.0):
+            with log_wait(self._describe_wait, delay=1.0):
                 while self._driver.why_not_ready() and not rospy.is_shutdown():
                     time.sleep(PERIOD)
 
+    def _describe_wait(self) -> str:
+        why = self._driver.why_not_ready()
+        return f"the robot: {why}" if why else ""
+
 
 def _wait_until(condition: Callable[[], bool]) -> bool:
-    """Wait up to _REST_TIMEOUT for a condition -> whether it holds."""
+    """Wait up to _REST_TIMEOUT for a condition; return whether it holds."""
     deadline = time.monotonic() + _REST_TIMEOUT
     while not condition():
         if time.monotonic() >= deadline:

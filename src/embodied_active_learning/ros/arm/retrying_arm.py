@@ -132,7 +132,9 @@ class RetryingArm:
             try:
                 observation = self._camera.take(reached.header.stamp)
                 if self._is_restorable and observation[0].header.stamp != reached.header.stamp:
-                    raise ObservationError("the simulated arm has moved on: its image is of another time")
+                    raise ObservationError(
+                        "image stamp differs from the arm state: the simulated arm has moved or restarted"
+                    )
                 break
             except ObservationError as error:
                 if self._is_restorable and (self._must_restore or not restored):
@@ -146,7 +148,7 @@ class RetryingArm:
         return observation
 
     def execute(self, command: Command) -> PlanarState:
-        """Carry out a command, or hold still if it fails or was planned before a pause -> the state reached.
+        """Carry out a command, or hold still if it fails or was planned before a pause; return the state reached.
 
         Raises CommandError when timeout or retries are used up, and ShutdownRequestedError.
         """
@@ -155,7 +157,7 @@ class RetryingArm:
         return self._execute(command, self._hold)
 
     def go_to(self, pose: Sequence[float]) -> PlanarState:
-        """Move to pose (3,) [m, m, rad], retrying until the arm arrives -> the state reached.
+        """Move to pose (3,) [m, m, rad], retrying until the arm arrives; return the state reached.
 
         Raises CommandError when timeout or retries are used up, and ShutdownRequestedError.
         """
@@ -167,7 +169,7 @@ class RetryingArm:
         return reached
 
     def restore(self, state: PlanarState) -> PlanarState:
-        """Return a simulated arm to a state that it has published -> that state.
+        """Return a simulated arm to a state that it has published; return that state.
 
         Raises CommandError when the arm cannot, or timeout or retries are used up, and ShutdownRequestedError.
         """
@@ -201,7 +203,7 @@ class RetryingArm:
             rospy.logwarn("stop not confirmed: %s", error)
 
     def pause(self, waiting_for: str) -> bool:
-        """Hold back all further commands -> False if they were held back already.
+        """Hold back all further commands; return False if they were held back already.
 
         The command in progress continues: call stop to make the arm stand still. waiting_for: shown in diagnostics.
         """
@@ -212,14 +214,14 @@ class RetryingArm:
             return changed
 
     def resume(self) -> bool:
-        """Allow commands again -> False if they were not held back."""
+        """Allow commands again; return False if they were not held back."""
         with self._pause_lock:
             changed = self.is_paused
             self._running.set()
             return changed
 
     def wait_while_paused(self) -> bool:
-        """Wait until commands are allowed -> whether that took waiting. Raises ShutdownRequestedError."""
+        """Wait until commands are allowed; return whether that took waiting. Raises ShutdownRequestedError."""
         if not self.is_paused:
             return False
         wait_until(self._running.is_set, lambda: self._waiting_for)
@@ -321,7 +323,9 @@ class RetryingArm:
     def _restore(self, state: PlanarState) -> PlanarState:
         reached = self._arm.restore(state.header.stamp)
         if not np.array_equal(state_arrays(reached)[0], state_arrays(state)[0]):
-            raise CommandError(f"the simulated arm was elsewhere at {state.header.stamp.to_sec():.3f} s: not restored")
+            raise CommandError(
+                f"restore failed: the arm's state at {state.header.stamp.to_sec():.3f} s is not the requested one"
+            )
         rospy.loginfo("simulated arm restored to its state at %.3f s", state.header.stamp.to_sec())
         self._unanswered = False
         return reached

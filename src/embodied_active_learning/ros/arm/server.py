@@ -57,7 +57,7 @@ class ArmServer(ABC):
 
     @abstractmethod
     def go_to(self, pose: Sequence[float], stop: StopSignal) -> PlanarState:
-        """Move to pose (3,) [m, m, rad] and stop there -> the state reached. Raises CommandError."""
+        """Move to pose (3,) [m, m, rad] and stop there; return the state reached. Raises CommandError."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -93,7 +93,7 @@ class ArmServer(ABC):
         with self.arbiter.stop(request) as needs_recovery:
             self.stop()
         remedy = f"; commands are rejected until {rospy.resolve_name(names.ARM_RECOVER)} is called"
-        return TriggerResponse(True, f"the arm stands still{remedy if needs_recovery else ''}")
+        return TriggerResponse(True, f"arm stopped{remedy if needs_recovery else ''}")
 
     def handle_recover(self, _request: Any) -> TriggerResponse:
         """Service /arm/recover: a person confirms that the arm may move again. A stop ends once the arm is ready."""

@@ -62,7 +62,7 @@ class VelocityInterface:
             raise RobotError(f"no response from {name}: {error}; is the robot's node running?") from error
 
     def send(self, twist: EndEffectorTwist) -> bool:
-        """Set the velocity of the end effector -> whether the robot follows."""
+        """Set the velocity of the end effector; return whether the robot follows."""
         linear, angular = twist
         request = UpdateVelocityRequest(Twist(Vector3(*linear), Vector3(*angular)), _UNCHANGED)
         try:

@@ -65,7 +65,7 @@ def write_session(session_path: Path, bag_path: Path, compression: str = "none")
 
 
 def read_session(recording: Recording, config: Config) -> Path:
-    """Store a recording's observations, and its measures if none was lost, in a new session -> its folder.
+    """Store a recording's observations, and its measures if none was lost, in a new session; return its folder.
 
     Raises SessionError if the session exists, and as Recording.observations() does; the session is then removed.
     """

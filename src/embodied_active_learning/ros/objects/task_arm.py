@@ -46,7 +46,7 @@ class TaskArm:
         progress.report("waiting for the arm")
         arm = self._available_arm()
         try:
-            with self.planner_pause.held(), progress.when_cancelled(arm.cancel):
+            with self.planner_pause.paused(), progress.when_cancelled(arm.cancel):
                 try:
                     yield arm
                 finally:

@@ -33,7 +33,7 @@ class PlannerPause:
             self._left_paused = False
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def paused(self) -> Iterator[None]:
         """Pause the planner during the block; one that was paused before stays paused afterwards.
 
         Raises:

@@ -74,7 +74,7 @@ class PauseServer:
         self._complete.set()
 
     def pause(self, request: Any) -> TriggerResponse:
-        """Pause the planner, and respond once the arm has stopped; success if it was not paused before."""
+        """Pause the planner, and respond once the arm has stopped; success unless exploration is complete."""
         if self._complete.is_set():
             return TriggerResponse(False, "exploration is complete")
         with self._lock:
@@ -85,7 +85,7 @@ class PauseServer:
             self._arm.stop()
         except CommandError as error:
             message += f", but the arm may still move: {error}"
-        return TriggerResponse(changed, message)
+        return TriggerResponse(True, message)
 
     def resume(self, request: Any) -> TriggerResponse:
         """Release a pause; success if the planner resumes."""

@@ -97,14 +97,14 @@ def check_clock(use_sim_time: bool, clock_published: bool, robot: str) -> CheckR
     return ok("clock", "system time")
 
 
-def check_stale_parameters(values: Mapping[str, object]) -> List[CheckResult]:
+def check_persistent_parameters(values: Mapping[str, object]) -> List[CheckResult]:
     """Check that no parameter of an earlier launch or of an operator prevents a run. values: name -> value."""
     stale = {name: str(value) for name, value in values.items() if value}
     if not stale:
-        return [ok("stale parameters", "none: no failure, stop or pause is stored")]
+        return [ok("persistent parameters", "none: no failure, stop or pause is stored")]
     return [
         warning(
-            "stale parameters",
+            "persistent parameters",
             f"{name} is {value!r}",
             "a run does not start or does not move while it is set",
             _REMEDIES.get(name.rsplit("/", 1)[-1], f"rosparam delete {name}"),

@@ -180,7 +180,7 @@ def check_system(report: Report, config: Config, seconds: float) -> None:
     real = config.arm.robot in REAL_ROBOTS
     report.run("clock", system.clock)
     report.run("addresses", system.addresses)
-    report.run("stale parameters", system.stale_parameters)
+    report.run("persistent parameters", system.persistent_parameters)
     if config.arm.robot == FRANKA:
         report.run("robot state", system.robot_state)
         report.run("controllers", system.controllers)

@@ -102,10 +102,10 @@ class System:
             network.check_peers(peers),
         ]
 
-    def stale_parameters(self) -> List[CheckResult]:
+    def persistent_parameters(self) -> List[CheckResult]:
         """Check the persistent parameters."""
         values = {rospy.resolve_name(name): rospy.get_param(rospy.resolve_name(name), "") for name in PARAMETERS}
-        return computer.check_stale_parameters(values)
+        return computer.check_persistent_parameters(values)
 
     def robot_state(self) -> List[CheckResult]:
         """Check franka_states."""

@@ -49,7 +49,7 @@ def add_wait(health: Health, wait: Optional[Wait]) -> Health:
     """Add a wait to the values; it becomes the message of a healthy node, with level WARN after LOG_PERIOD."""
     if wait is None or wait.seconds < _PERIOD:
         return health
-    description = f"{wait.what} (since {wait.seconds:.0f} s)"
+    description = f"{wait.what} for {wait.seconds:.0f} s"
     health = replace(health, values={**health.values, "waiting for": description})
     if health.level > OK or health.idle:
         return health

@@ -136,7 +136,7 @@ def wait_until(condition: Callable[[], bool], waiting_for: Callable[[], str], pe
 def wall_sleep(seconds: float) -> None:
     """Sleep for a duration of wall time. Raises ShutdownRequestedError."""
     ends_at = time.monotonic() + seconds
-    wait_until(lambda: time.monotonic() >= ends_at, lambda: f"the next attempt, every {seconds:g} s")
+    wait_until(lambda: time.monotonic() >= ends_at, lambda: f"the next attempt ({seconds:g} s after the last)")
 
 
 def publish(publisher: rospy.Publisher, message: Any) -> None:

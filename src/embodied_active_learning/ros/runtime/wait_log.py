@@ -23,7 +23,7 @@ class Wait(NamedTuple):
 
 
 class _Entry:
-    """A wait in progress. `what` describes it."""
+    """A wait in progress. `what` describes it; empty once it is about to end."""
 
     def __init__(self, what: Callable[[], str], delay: float) -> None:
         self.what = what
@@ -34,8 +34,10 @@ class _Entry:
     def log_if_due(self) -> None:
         now = time.monotonic()
         if now >= self._log_at:
-            since = f" (since {now - self.started_at:.0f} s)" if self._logged else ""
-            rospy.loginfo("waiting for %s%s", self.what(), since)
+            what = self.what()
+            if what:
+                duration = f" for {now - self.started_at:.0f} s" if self._logged else ""
+                rospy.loginfo("waiting for %s%s", what, duration)
             self._log_at, self._logged = now + LOG_PERIOD, True
 
 
@@ -46,7 +48,10 @@ _timers: List[WallTimer] = []  # one, started by the first wait
 
 @contextmanager
 def log_wait(what: Callable[[], str], delay: float = LOG_PERIOD) -> Iterator[None]:
-    """Log what() every few seconds while the block runs, first after `delay` seconds of wall time."""
+    """Log what() every few seconds while the block runs, first after `delay` seconds of wall time.
+
+    An empty text is not logged.
+    """
     entry = _Entry(what, delay)
     with _lock:
         _entries.append(entry)
@@ -63,7 +68,8 @@ def longest_wait() -> Optional[Wait]:
     """Return the longest wait in progress, or None."""
     with _lock:
         oldest = _entries[0] if _entries else None
-    return None if oldest is None else Wait(oldest.what(), time.monotonic() - oldest.started_at)
+    what = "" if oldest is None else oldest.what()
+    return Wait(what, time.monotonic() - oldest.started_at) if what else None
 
 
 def _log_all() -> None:
