@@ -20,7 +20,7 @@ import torch
 from measuring import Row, Section, Turn, resident_memory, row, run, timed
 
 from embodied_active_learning.config import Config, IdentificationConfig
-from embodied_active_learning.geometry import move, table_points, wrap
+from embodied_active_learning.geometry import table_points, transform_poses, wrap
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.appearance import Appearance
@@ -76,7 +76,7 @@ class NaiveIdentification:
             for index, item in enumerate(self._fingerprints):
                 distances = np.linalg.norm(self._latents(item.states, image) - item.latent_means, axis=1)
                 view = int(distances.argmin())
-                pose = move(item.centre, item.states[view], state)
+                pose = transform_poses(item.centre, item.states[view], state)
                 self._update(index, pose, float(self._matcher.value(distances[view])), weight)
 
     def mean(self, index: int) -> np.ndarray:

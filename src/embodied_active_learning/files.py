@@ -33,7 +33,7 @@ _KINDS = (
 )
 
 
-def open_plain(path: Path, mode: str = "rb", follow: bool = False) -> BinaryIO:
+def open_regular_file(path: Path, mode: str = "rb", follow: bool = False) -> BinaryIO:
     """Open a regular file unbuffered.
 
     Args:
@@ -72,7 +72,7 @@ class FileReader:
     limit: int = MAX_YAML_SIZE
     follow: bool = False
 
-    def refuse(self, subject: Any, complaint: str) -> EmbodiedActiveLearningError:
+    def make_error(self, subject: Any, complaint: str) -> EmbodiedActiveLearningError:
         """Return the exception for a problem with a file or a place in it."""
         return self.error(f"{subject} {complaint}: {self.remedy}")
 
@@ -95,7 +95,7 @@ class FileReader:
         try:
             return self.read_bytes(path).decode("utf-8")
         except UnicodeDecodeError as error:
-            raise self.refuse(path, f"is not UTF-8 text ({error})") from error
+            raise self.make_error(path, f"is not UTF-8 text ({error})") from error
 
     def read_yaml(self, path: Path) -> Dict[str, Any]:
         """Return the fields of a YAML file, see parse_yaml."""
@@ -103,7 +103,7 @@ class FileReader:
         try:
             content = parse_yaml(text)
         except ValueError as error:
-            raise self.refuse(path, f"is not plain YAML ({error})") from error
+            raise self.make_error(path, f"is not plain YAML ({error})") from error
         return self._fields(path, content)
 
     def read_json(self, path: Path) -> Dict[str, Any]:
@@ -115,7 +115,7 @@ class FileReader:
         try:
             content = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise self.refuse(subject, f"is not JSON ({error})") from error
+            raise self.make_error(subject, f"is not JSON ({error})") from error
         return self._fields(subject, content)
 
     def expect(self, subject: Any, content: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
@@ -123,23 +123,25 @@ class FileReader:
         for field, value in expected.items():
             found = content.get(field)
             if repr(found) != repr(value):  # 1, 1.0 and True are equal, but not in a file
-                raise self.error(f"{subject}: {field} is {shown(found)}: expected {shown(value)}; {self.remedy}")
+                raise self.error(
+                    f"{subject}: {field} is {short_repr(found)}: expected {short_repr(value)}; {self.remedy}"
+                )
 
     def _fields(self, subject: Any, content: Any) -> Dict[str, Any]:
         if not isinstance(content, dict):
-            raise self.refuse(subject, f"is {_kind(content)}, expected fields")
+            raise self.make_error(subject, f"is {_kind(content)}, expected fields")
         return content
 
     def _open(self, path: Path) -> BinaryIO:
         try:
-            return open_plain(path, follow=self.follow)
+            return open_regular_file(path, follow=self.follow)
         except (OSError, ValueError) as error:  # ValueError: the name contains a null character
             raise self._unreadable(path, error) from error
 
     def _size(self, path: Path, stream: BinaryIO) -> int:
         size = os.fstat(stream.fileno()).st_size
         if size > self.limit:
-            raise self.refuse(path, f"has {size} bytes, at most {self.limit} are allowed")
+            raise self.make_error(path, f"has {size} bytes, at most {self.limit} are allowed")
         return size
 
     def _unreadable(self, path: Path, error: Exception) -> EmbodiedActiveLearningError:
@@ -167,7 +169,7 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(_in_words(error)) from error
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """Return the representation of a value for messages, truncated if it is long."""
     text = repr(value)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
@@ -185,7 +187,7 @@ class _PlainLoader(yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             raise _error("anchors are not supported, repeat the value", event.start_mark)
         if event.tag is not None:
-            raise _error(f"the tag {shown(event.tag)} is not supported, write the value only", event.start_mark)
+            raise _error(f"the tag {short_repr(event.tag)} is not supported, write the value only", event.start_mark)
         if self._depth == _DEEPEST:
             raise _error(f"nested deeper than {_DEEPEST} levels", event.start_mark)
         self._depth += 1
@@ -198,9 +200,9 @@ class _PlainLoader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise _error(f"key {shown(key)} is not a text: put it in quotes", key_node.start_mark)
+                raise _error(f"key {short_repr(key)} is not a text: put it in quotes", key_node.start_mark)
             if key in keys:
-                raise _error(f"duplicate key {shown(key)}", key_node.start_mark)
+                raise _error(f"duplicate key {short_repr(key)}", key_node.start_mark)
             keys.add(key)
         return super().construct_mapping(node, deep)
 

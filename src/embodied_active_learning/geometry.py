@@ -98,7 +98,7 @@ def pixels_of(states: np.ndarray, point: np.ndarray, camera: CameraConfig) -> Tu
     return down / pixel + (camera.height - 1) / 2.0, right / pixel + (camera.width - 1) / 2.0
 
 
-def move(poses: np.ndarray, origin: np.ndarray, goal: np.ndarray) -> np.ndarray:
+def transform_poses(poses: np.ndarray, origin: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Apply the planar motion that moves one pose to another.
 
     With the camera state of a stored view as origin and that of a new view as goal, it moves the object of the stored
@@ -124,3 +124,21 @@ def pose_distance(one: np.ndarray, other: np.ndarray) -> Tuple[np.ndarray, np.nd
     """Return distance [m] and smallest turn [rad] between poses (..., 3)."""
     change = np.asarray(one) - other
     return np.hypot(change[..., 0], change[..., 1]), np.abs(wrap(change[..., 2]))
+
+
+def quaternion(rotation: np.ndarray) -> Tuple[float, float, float, float]:
+    """Return the unit quaternion x, y, z, w of a rotation (3, 3)."""
+    # Start with the largest of the four to avoid division by a small number.
+    trace = rotation.trace()
+    squares = np.array([*(2.0 * rotation.diagonal() - trace), trace])
+    largest = int(squares.argmax())
+    differences = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    if largest == 3:
+        values = np.array([*differences, 1.0 + trace])
+    else:
+        values = np.array([*(rotation[largest] + rotation[:, largest]), differences[largest]])
+        values[largest] = 1.0 + squares[largest]
+    x, y, z, w = (values / np.linalg.norm(values)).tolist()
+    return x, y, z, w

@@ -160,13 +160,13 @@ class Framing(NamedTuple):
         return (self.source[0] - self.part[0]) // 2, (self.source[1] - self.part[1]) // 2
 
     @property
-    def changes_nothing(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether images are unchanged."""
         return self.source == self.size
 
     def apply(self, picture: np.ndarray) -> np.ndarray:
         """Crop and scale an image (H, W, 3) uint8 of the source size to (h, w, 3) uint8."""
-        if self.changes_nothing:
+        if self.is_identity:
             return picture
         (top, left), (rows, columns), (height, width) = self.offset, self.part, self.size
         part = picture[top : top + rows, left : left + columns]

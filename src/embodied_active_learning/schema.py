@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any, Collection, Dict, Iterator, Mapping, Tuple, Type, TypeVar, Union, get_type_hints
 
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
-from embodied_active_learning.files import FileReader, shown
+from embodied_active_learning.files import FileReader, short_repr
 
 _MAX_KEY_LENGTH = 80  # characters of an unknown key in a message
 _EXPONENT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]{1,3}")  # PyYAML reads 1e-4 as text
@@ -172,7 +172,7 @@ class _Builder:
     def _check_names(self, values: Any, known: Collection[str], place: str, sections: bool) -> None:
         if not isinstance(values, dict):
             name = f"section {place}" if place else "the content"
-            raise self._refuse(f"{name} is {shown(values)}: expected keys and values")
+            raise self._refuse(f"{name} is {short_repr(values)}: expected keys and values")
         for key in values:
             if key not in known:
                 text, prefix = str(key)[:_MAX_KEY_LENGTH], f"{place}/" if place else ""
@@ -234,7 +234,7 @@ class _Builder:
         return kind(number)
 
     def _wrong(self, place: str, value: Any, expected: str) -> EmbodiedActiveLearningError:
-        return self._refuse(f"{place} is {shown(value)}: expected {expected}")
+        return self._refuse(f"{place} is {short_repr(value)}: expected {expected}")
 
     def _refuse(self, complaint: str) -> EmbodiedActiveLearningError:
         subject = f"{self.subject}: " if self.subject else ""

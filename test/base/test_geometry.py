@@ -15,12 +15,12 @@ from embodied_active_learning.geometry import (
     field_of_view,
     intrinsics,
     metres_per_pixel,
-    move,
     optical_rotation,
     pixels_of,
     pose_distance,
     rotation_matrix,
     table_points,
+    transform_poses,
     wrap,
 )
 from embodied_active_learning.simulation.scene import Scene
@@ -118,28 +118,28 @@ def test_wrapped_angle_is_below_pi(angle):
 
 @given(POSES, POSES)
 def test_move_maps_origin_to_goal(origin, goal):
-    assert_same_pose(move(origin, origin, goal), goal)
+    assert_same_pose(transform_poses(origin, origin, goal), goal)
 
 
 @given(POSES, POSES, POSES)
 def test_move_matches_homogeneous_transforms(pose, origin, goal):
     moved = matrix(goal) @ np.linalg.inv(matrix(origin)) @ matrix(pose)
     expected = (moved[0, 2], moved[1, 2], math.atan2(moved[1, 0], moved[0, 0]))
-    assert_same_pose(move(pose, origin, goal), expected)
+    assert_same_pose(transform_poses(pose, origin, goal), expected)
 
 
 @given(POSES, POSES, POSES, POSES)
 def test_move_preserves_distances_and_turns(one, other, origin, goal):
     before = pose_distance(one, other)
-    after = pose_distance(move(one, origin, goal), move(other, origin, goal))
+    after = pose_distance(transform_poses(one, origin, goal), transform_poses(other, origin, goal))
     np.testing.assert_allclose(after, before, atol=1e-9)
 
 
 @given(POSES, POSES, POSES, POSES)
 def test_moves_compose_and_invert(pose, first, second, third):
-    there = move(pose, first, second)
-    assert_same_pose(move(there, second, third), move(pose, first, third))
-    assert_same_pose(move(there, second, first), pose)
+    there = transform_poses(pose, first, second)
+    assert_same_pose(transform_poses(there, second, third), transform_poses(pose, first, third))
+    assert_same_pose(transform_poses(there, second, first), pose)
 
 
 @given(POSES, POSES, st.tuples(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-2.0, 2.0)))
@@ -147,17 +147,21 @@ def test_move_finds_object_that_looks_the_same(learned, true, view):
     """Camera states are given as seen from the object, so both show it in the same way."""
     stored, new = matrix(learned) @ matrix(view), matrix(true) @ matrix(view)
     states = [np.array([pose[0, 2], pose[1, 2], math.atan2(pose[1, 0], pose[0, 0])]) for pose in (stored, new)]
-    assert_same_pose(move(learned, *states), true)
+    assert_same_pose(transform_poses(learned, *states), true)
 
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**31 - 1))
 def test_move_broadcasts_poses(seed):
     poses, origins, goals = np.random.default_rng(seed).uniform(-3, 3, (3, 4, 5, 3))
-    moved = move(poses, origins, goals)
+    moved = transform_poses(poses, origins, goals)
     for index in np.ndindex(4, 5):
-        np.testing.assert_allclose(moved[index], move(poses[index], origins[index], goals[index]), atol=1e-12)
-    np.testing.assert_allclose(move(poses[0, 0], origins, goals)[2, 3], move(poses[0, 0], origins[2, 3], goals[2, 3]))
+        np.testing.assert_allclose(
+            moved[index], transform_poses(poses[index], origins[index], goals[index]), atol=1e-12
+        )
+    np.testing.assert_allclose(
+        transform_poses(poses[0, 0], origins, goals)[2, 3], transform_poses(poses[0, 0], origins[2, 3], goals[2, 3])
+    )
 
 
 def test_pose_distance_takes_smallest_turn():

@@ -28,7 +28,8 @@ from embodied_active_learning.srv import (
     UpdateVelocityResponse,
 )
 
-from embodied_active_learning.franka.mount import CameraMount, CameraPose, quaternion
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
+from embodied_active_learning.geometry import quaternion
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.node import run_node
 from fake_franka.computer import Computer, Every

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.franka.mount import CameraMount, CameraPose, quaternion
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
+from embodied_active_learning.geometry import quaternion
 
 planes = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.1, 3.1))
 tilts = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7))

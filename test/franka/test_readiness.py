@@ -88,8 +88,8 @@ def test_inactive_controllers_are_ignored():
 def test_robot_is_held_after_user_stop_or_guiding_until_release(mode):
     robot = Robot()
     robot.reports(mode=mode)
-    assert robot.reports(mode=RobotMode.IDLE, after=60.0) is Condition.HELD
-    assert robot.reports() is Condition.HELD
+    assert robot.reports(mode=RobotMode.IDLE, after=60.0) is Condition.RECOVERY_REQUIRED
+    assert robot.reports() is Condition.RECOVERY_REQUIRED
     assert not robot.readiness.needs_recovery
     assert "call /arm/recover" in robot.explanation
     robot.readiness.release()
@@ -101,14 +101,14 @@ def test_release_during_user_stop_has_no_effect():
     robot.reports(mode=RobotMode.USER_STOPPED)
     robot.readiness.release()
     assert robot.reports(mode=RobotMode.USER_STOPPED) is Condition.USER_STOPPED
-    assert robot.reports(mode=RobotMode.IDLE) is Condition.HELD
+    assert robot.reports(mode=RobotMode.IDLE) is Condition.RECOVERY_REQUIRED
 
 
 def test_user_stop_during_reflex_prevents_recovery():
     robot = Robot()
     robot.reports(REFLEX)
     robot.reports(mode=RobotMode.USER_STOPPED)
-    assert robot.reports(REFLEX, after=60.0) is Condition.HELD
+    assert robot.reports(REFLEX, after=60.0) is Condition.RECOVERY_REQUIRED
     assert not robot.readiness.needs_recovery
 
 
@@ -123,10 +123,10 @@ def test_recovery_pauses_double_until_robot_is_held():
         assert robot.readiness.needs_recovery
         robot.recovers()
         assert robot.reports() is Condition.READY
-    assert robot.reports(REFLEX, after=1.0) is Condition.HELD
+    assert robot.reports(REFLEX, after=1.0) is Condition.RECOVERY_REQUIRED
     assert "after 2 consecutive recoveries" in robot.explanation
     assert not robot.readiness.needs_recovery
-    assert robot.reports() is Condition.HELD, "only a person can release it"
+    assert robot.reports() is Condition.RECOVERY_REQUIRED, "only a person can release it"
     robot.readiness.release()
     assert robot.reports() is Condition.READY
     assert robot.readiness.recoveries == 2
@@ -142,7 +142,7 @@ def test_reflex_persisting_after_recovery_counts_again():
 
 
 def test_first_reflex_holds_robot_without_recoveries():
-    assert Robot(recoveries=0).reports(REFLEX) is Condition.HELD
+    assert Robot(recoveries=0).reports(REFLEX) is Condition.RECOVERY_REQUIRED
 
 
 def test_failed_recovery_counts_and_is_explained():
@@ -152,7 +152,7 @@ def test_failed_recovery_counts_and_is_explained():
     assert robot.reports(REFLEX) is Condition.REFLEX
     assert "last recovery: command rejected" in robot.explanation
     robot.recovers("command rejected")
-    assert robot.reports(REFLEX) is Condition.HELD
+    assert robot.reports(REFLEX) is Condition.RECOVERY_REQUIRED
     assert "last recovery: command rejected" in robot.explanation
 
 
@@ -188,7 +188,7 @@ def test_ended_control_loop_is_treated_as_reflex():
 
 def test_reflex_before_first_ready_holds_robot():
     robot = Robot(ready=False)
-    assert robot.reports(REFLEX) is Condition.HELD
+    assert robot.reports(REFLEX) is Condition.RECOVERY_REQUIRED
     assert "in a reflex (cartesian_reflex) before this node moved it" in robot.explanation
 
 
@@ -214,12 +214,12 @@ def test_requested_recoveries_do_not_hold_robot_but_user_stop_does():
     robot = Robot(recoveries=1)
     robot.reports(REFLEX)
     robot.recovers()
-    assert robot.reports(REFLEX, after=GRACE + 0.1) is Condition.HELD
+    assert robot.reports(REFLEX, after=GRACE + 0.1) is Condition.RECOVERY_REQUIRED
     robot.readiness.forget_reflexes()
     assert robot.reports() is Condition.READY
     robot.reports(mode=RobotMode.USER_STOPPED)
     robot.readiness.forget_reflexes()
-    assert robot.reports() is Condition.HELD
+    assert robot.reports() is Condition.RECOVERY_REQUIRED
 
 
 def test_restarted_controller_has_full_grace_period():

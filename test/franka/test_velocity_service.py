@@ -148,7 +148,7 @@ def test_robot_that_does_not_follow_is_held_until_released():
     assert isinstance(outcome[0], ArmStoppedError)
     lab.robot.success, lab.errors = True, ()
     lab.passes(3.0)
-    assert lab.readiness.condition is Condition.HELD
+    assert lab.readiness.condition is Condition.RECOVERY_REQUIRED
     assert "/arm/recover" in lab.driver.why_not_ready()
     lab.readiness.release()
     lab.passes(0.1)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.geometry import move, pose_distance
+from embodied_active_learning.geometry import pose_distance, transform_poses
 from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint
 from embodied_active_learning.objects.matching import PIXELS, Matcher
 from painted_table import Thing, paint
@@ -153,7 +153,7 @@ def test_pose_of_moved_object_is_exact(goal, seed):
     """The camera moves with the object, so the images are identical."""
     origin = FIRST.centre
     order = np.random.default_rng(seed).permutation(len(FIRST.states))
-    states = move(FIRST.states[order], origin, goal)
+    states = transform_poses(FIRST.states[order], origin, goal)
     matches = Matcher(ImageLatents(), [FIRST, SECOND], LATENTS).match(states, FIRST.images[order])[0]
     np.testing.assert_array_equal(matches.view, order)
     distance, turn = pose_distance(matches.pose, goal)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from embodied_active_learning.geometry import move, pose_distance
+from embodied_active_learning.geometry import pose_distance, transform_poses
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
@@ -92,5 +92,5 @@ def test_belief_decision_is_the_pose_of_the_centre():
     decision = Decision("learned", "object-1", OBJECT, FOUND, 1, INSIDE, 0.9, 0.0, 0.1, 0, 0.5, 0.1, "")
     search = SimpleNamespace(targets=[TARGET], by_views=False)
     [destination] = plan_visits(search, [decision], (), WORKSPACE)
-    expected = move(FINGERPRINT.states[destination.expected.view], FINGERPRINT.centre, INSIDE)
+    expected = transform_poses(FINGERPRINT.states[destination.expected.view], FINGERPRINT.centre, INSIDE)
     np.testing.assert_allclose(destination.state, expected)

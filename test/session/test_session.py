@@ -414,4 +414,4 @@ def test_bags_do_not_count_as_stored_bytes(tmp_path):
     (tmp_path / "observations" / "observations.bin").write_bytes(bytes(300))
     (tmp_path / "bags").mkdir()
     (tmp_path / "bags" / "a.bag").write_bytes(bytes(5000))
-    assert disk.bytes_below(tmp_path) == 300
+    assert disk.folder_size(tmp_path) == 300

@@ -92,7 +92,7 @@ def replace_block(path: Path, name: str, lines: Sequence[str]) -> None:
     head, found, rest = text.partition(start)
     _, closed, tail = rest.partition(end)
     if not (found and closed):
-        raise _READER.refuse(path, f"has no block <!-- {name} --> ... <!-- end -->")
+        raise _READER.make_error(path, f"has no block <!-- {name} --> ... <!-- end -->")
     write_text(path, "".join([head, start, *(f"{line}\n" for line in lines), end, tail]))
 
 

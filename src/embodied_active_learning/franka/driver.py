@@ -16,12 +16,7 @@ import numpy as np
 
 from embodied_active_learning.arm_requests import StopSignal, checked_duration, checked_pose, checked_velocity
 from embodied_active_learning.config import Config, FrankaConfig
-from embodied_active_learning.errors import (
-    ArmFailedError,
-    ArmNotReadyError,
-    ArmStoppedError,
-    ObservationError,
-)
+from embodied_active_learning.errors import ArmFailedError, ArmNotReadyError, ArmStoppedError, ObservationError
 from embodied_active_learning.franka.explanation import why_not_ready
 from embodied_active_learning.franka.motions import GoTo, Move, Retreat, SetPointMotion
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
@@ -38,7 +33,7 @@ _SETTLING_TIME = 4.0  # s that an impedance controller may take to draw the arm 
 _AT_TARGET, _TURN_AT_TARGET = 1e-4, 1e-3  # m, rad: a set-point this close to its target has arrived
 _STOP_TIMEOUT = 3.0  # s within which a braking arm has to come to rest; less than a node has to shut down
 _MAX_WAIT = 0.05  # s between two checks of a waiting command
-_NEEDS_PERSON = (Condition.USER_STOPPED, Condition.GUIDED, Condition.HELD)
+_NEEDS_PERSON = (Condition.USER_STOPPED, Condition.GUIDED, Condition.RECOVERY_REQUIRED)
 _UNKNOWN_MOTION = (Condition.NO_STATE, Condition.STALE, Condition.UNUSABLE)
 
 
@@ -65,11 +60,10 @@ class FrankaDriver:
         """Create the driver. The last three arguments differ for another interface than franka_ros.
 
         Args:
-            config: The configuration.
-            clock: Returns the time [s].
-            readiness: Evaluates whether the robot is ready; None creates a Readiness.
-            explain: Returns why the robot is not ready.
-            stopping: Creates the motion that brings the arm to rest.
+            clock: returns the time [s].
+            readiness: whether the robot is ready; None creates one for franka_ros.
+            explain: returns why the robot is not ready.
+            stopping: creates the motion that brings the arm to rest.
         """
         self._config = config
         self._clock = clock

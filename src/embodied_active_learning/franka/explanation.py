@@ -64,7 +64,7 @@ def _why_other_publisher(readiness: Readiness, _config: FrankaConfig) -> str:
 _DETAILED: Dict[Condition, Callable[[Readiness, FrankaConfig], str]] = {
     Condition.STALE: _why_stale,
     Condition.UNUSABLE: lambda readiness, _: f"unusable robot state: {readiness.report.problem}",
-    Condition.HELD: lambda readiness, _: f"{readiness.held_for}: check the robot, then call /arm/recover",
+    Condition.RECOVERY_REQUIRED: lambda readiness, _: f"{readiness.held_for}: check the robot, then call /arm/recover",
     Condition.REFLEX: _why_reflex,
     Condition.OTHER_CONTROLLER: _why_other_controller,
     Condition.OTHER_PUBLISHER: _why_other_publisher,

@@ -86,24 +86,6 @@ class CameraMount:
         return np.array([x, y, self._height + pose.height]) - rotation @ self._position, rotation
 
 
-def quaternion(rotation: np.ndarray) -> Tuple[float, float, float, float]:
-    """Return the unit quaternion x, y, z, w of a rotation (3, 3)."""
-    # Start with the largest of the four to avoid division by a small number.
-    trace = rotation.trace()
-    squares = np.array([*(2.0 * rotation.diagonal() - trace), trace])
-    largest = int(squares.argmax())
-    differences = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    if largest == 3:
-        values = np.array([*differences, 1.0 + trace])
-    else:
-        values = np.array([*(rotation[largest] + rotation[:, largest]), differences[largest]])
-        values[largest] = 1.0 + squares[largest]
-    x, y, z, w = (values / np.linalg.norm(values)).tolist()
-    return x, y, z, w
-
-
 def _tilt_of(axis: np.ndarray) -> Tuple[float, float]:
     """Return the rotation about x and y [rad] from straight down to a unit axis (3,) that points down."""
     sine = math.hypot(axis[0], axis[1])

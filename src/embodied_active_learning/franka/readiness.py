@@ -171,7 +171,7 @@ class Readiness:
             (Condition.GUIDED, report.mode == RobotMode.GUIDING),
             (Condition.RECOVERING, recovering),
             (Condition.UNUSABLE, bool(report.problem)),
-            (Condition.HELD, bool(self.held_for)),
+            (Condition.RECOVERY_REQUIRED, bool(self.held_for)),
         )
         if found is not None:
             return found
@@ -193,7 +193,7 @@ class Readiness:
             )
         else:
             return Condition.REFLEX
-        return Condition.HELD
+        return Condition.RECOVERY_REQUIRED
 
     def _evaluate_control(self, report: Report, now: float) -> Condition:
         ours = (report.controllers or {}).get(CONTROLLER)

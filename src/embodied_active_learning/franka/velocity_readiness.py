@@ -25,7 +25,7 @@ class VelocityReadiness(Readiness):
 
     def _evaluate_reflex(self) -> Condition:
         self._reflex_hold = f"the robot has stopped ({self._report.error_names})"
-        return Condition.HELD
+        return Condition.RECOVERY_REQUIRED
 
     def _evaluate_control(self, report: Report, now: float) -> Condition:
         return Condition.READY if self._prepared else Condition.UNPREPARED
@@ -43,7 +43,7 @@ def why_not_ready(readiness: Readiness, config: FrankaConfig) -> str:
         )
     if condition is Condition.UNUSABLE:
         return report.problem
-    if condition is Condition.HELD:
+    if condition is Condition.RECOVERY_REQUIRED:
         return (
             f"{readiness.held_for}: remove the cause, clear a reflex (rostopic pub -1 "
             "/franka_control/error_recovery/goal franka_msgs/ErrorRecoveryActionGoal '{}'), then call /arm/recover"

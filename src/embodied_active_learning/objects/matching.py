@@ -14,7 +14,7 @@ import numpy as np
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.geometry import move
+from embodied_active_learning.geometry import transform_poses
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import Fingerprint
 
@@ -74,7 +74,7 @@ class Matcher:
         for item, begin, end in zip(self._fingerprints, self._starts, self._starts[1:]):
             view = distances[:, begin:end].argmin(axis=1)
             distance = distances[np.arange(len(view)), begin + view]
-            pose = move(item.centre, item.states[view], states)
+            pose = transform_poses(item.centre, item.states[view], states)
             found.append(Matches(view.astype(np.int32), distance, self.value(distance), pose))
         return found
 

@@ -6,7 +6,7 @@ from typing import List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
-from embodied_active_learning.geometry import move, pose_distance
+from embodied_active_learning.geometry import pose_distance, transform_poses
 from embodied_active_learning.objects.decision import UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.identification import Identification
@@ -54,7 +54,7 @@ class Expectation(NamedTuple):
     def image_from(self, state: np.ndarray) -> np.ndarray:
         """Return the predicted image (H, W, 3) uint8 from a camera state (3,) of the searched workspace."""
         fingerprint = self.target.fingerprint
-        learned = move(state, self.pose, fingerprint.centre)
+        learned = transform_poses(state, self.pose, fingerprint.centre)
         means, _ = self.target.model.decode(fingerprint.latent_means[[self.view]], learned[np.newaxis])
         return np.rint(255.0 * means[0]).astype(np.uint8)
 
@@ -113,7 +113,7 @@ def _to_object(target: SearchTarget, decision: Decision, by_views: bool, workspa
     """Return the destination for an object of a fingerprint, where it was found or may be."""
     fingerprint = target.fingerprint
     pose = target.appearance.centre_at(decision.pose) if by_views else decision.pose
-    wanted = move(fingerprint.states, fingerprint.centre, pose)
+    wanted = transform_poses(fingerprint.states, fingerprint.centre, pose)
     possible = workspace.clip(wanted)
     distance, turn = pose_distance(possible, wanted)
     off_centre, _ = pose_distance(fingerprint.states, fingerprint.centre)

@@ -20,7 +20,7 @@ from embodied_active_learning.config import (
     merge,
 )
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.files import parse_yaml, shown
+from embodied_active_learning.files import parse_yaml, short_repr
 from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
 from embodied_active_learning.schema import settings
 from embodied_active_learning.session.session import Session, check_session, session_path, session_root
@@ -73,7 +73,7 @@ def resolve_config(
     if config.arm.robot == SIMULATED:
         if unset_to_empty(robot_profile):
             raise ConfigError(
-                f"the robot profile {shown(robot_profile)} is for a real robot: set arm/robot, or leave it out"
+                f"the robot profile {short_repr(robot_profile)} is for a real robot: set arm/robot, or leave it out"
             )
         if needs_arm or not config.session.resume:
             config = _with_world(config)
@@ -107,7 +107,7 @@ def unset_to_empty(value: str) -> str:
 def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "") -> None:
     """Check the launch arguments about starting the arm. Raises ConfigError."""
     if bringup not in BRINGUPS:
-        raise ConfigError(f"bringup is {shown(bringup)}: expected one of {', '.join(BRINGUPS)}")
+        raise ConfigError(f"bringup is {short_repr(bringup)}: expected one of {', '.join(BRINGUPS)}")
     if config.arm.robot == RECORDED and bringup != "none":
         raise ConfigError("arm/robot is recording: use bringup:=none")
     if config.arm.robot == FRANKA and bringup == "all" and not unset_to_empty(robot_ip):
@@ -117,7 +117,7 @@ def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "")
         )
     if config.arm.robot in REAL_ROBOTS and arm_id not in ("", config.franka.arm_id):
         raise ConfigError(
-            f"arm_id is {shown(arm_id)}, but the robot profile has franka/arm_id {config.franka.arm_id}: give "
+            f"arm_id is {short_repr(arm_id)}, but the robot profile has franka/arm_id {config.franka.arm_id}: give "
             f"arm_id:={config.franka.arm_id}, or correct the robot profile"
         )
 
@@ -160,7 +160,7 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
     path, equals, value = text.partition("=")
     section, slash, key = path.partition("/")
     if not (equals and slash and section and key):
-        raise ConfigError(f"override {shown(text)} is malformed: expected section/key=value")
+        raise ConfigError(f"override {short_repr(text)} is malformed: expected section/key=value")
     if not unset_to_empty(value):
         return {}
     if (section, key, value) == ("exploration", "steps", AUTO):
@@ -168,7 +168,7 @@ def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
     try:
         return {section: {key: value if _is_text(section, key) else parse_yaml(value)}}
     except ValueError as error:
-        raise ConfigError(f"override {shown(text)} is malformed: the value is not plain YAML ({error})") from error
+        raise ConfigError(f"override {short_repr(text)} is malformed: the value is not plain YAML ({error})") from error
 
 
 def _is_text(section: str, key: str) -> bool:

@@ -14,8 +14,8 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.franka.mount import CameraMount, quaternion
-from embodied_active_learning.geometry import rotation_matrix
+from embodied_active_learning.franka.mount import CameraMount
+from embodied_active_learning.geometry import quaternion, rotation_matrix
 from embodied_active_learning.images import decode_raw
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names

@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.files import FileReader, open_plain
+from embodied_active_learning.files import FileReader, open_regular_file
 from embodied_active_learning.session.atomic import write_bytes
 
 VERSION = "1"
@@ -57,7 +57,7 @@ def read_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arr
     for name, array in arrays.items():
         if array.dtype not in _TYPES:
             expected = ", ".join(map(str, _TYPES))
-            raise reader.refuse(f"{path}:", f"{name} is {array.dtype}, expected one of {expected}")
+            raise reader.make_error(f"{path}:", f"{name} is {array.dtype}, expected one of {expected}")
     text = header.get("facts", "")
     reader.expect(path, header, {"sha256": _digest(arrays, text)})
     return arrays, reader.parse_json(f"{path}: facts", text)
@@ -71,14 +71,14 @@ def _read(path: Path, reader: FileReader) -> Tuple[Arrays, Dict[str, str]]:
             return arrays, stored.metadata() or {}
     # ValueError and the following are raised for types unknown to numpy.
     except (SafetensorError, OSError, ValueError, TypeError, AttributeError, LookupError) as error:
-        raise reader.refuse(path, f"is not a complete safetensors file ({error})") from error
+        raise reader.make_error(path, f"is not a complete safetensors file ({error})") from error
     except MemoryError as error:
-        raise reader.refuse(path, "does not fit into memory") from error
+        raise reader.make_error(path, "does not fit into memory") from error
     except BaseException as error:
         # Rust code reports a failed allocation as pyo3_runtime.PanicException, which is not an Exception.
         if type(error).__name__ != "PanicException":
             raise
-        raise reader.refuse(path, f"cannot be read by safetensors ({error})") from None
+        raise reader.make_error(path, f"cannot be read by safetensors ({error})") from None
 
 
 def _header(path: Path, metadata: Mapping[str, str], reader: FileReader) -> Mapping[str, Any]:
@@ -88,17 +88,19 @@ def _header(path: Path, metadata: Mapping[str, str], reader: FileReader) -> Mapp
     header = reader.parse_json(f"{path}: {_HEADER}", metadata[_HEADER])
     for name, value in header.items():
         if not isinstance(value, str):
-            raise reader.refuse(f"{path}:", f"{name} of the header is not a text")
+            raise reader.make_error(f"{path}:", f"{name} of the header is not a text")
     return header
 
 
 def _check_header_size(path: Path, reader: FileReader) -> None:
     """Check the length that the first 8 bytes declare: it bounds what safetensors allocates."""
     size = reader.check(path)
-    with open_plain(path, follow=reader.follow) as stream:
+    with open_regular_file(path, follow=reader.follow) as stream:
         length = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
     if not 0 < length <= min(_MAX_HEADER_SIZE, size - _LENGTH_BYTES):
-        raise reader.refuse(path, f"is not a complete safetensors file (header of {length} bytes in a file of {size})")
+        raise reader.make_error(
+            path, f"is not a complete safetensors file (header of {length} bytes in a file of {size})"
+        )
 
 
 def _format(kind: str) -> str:

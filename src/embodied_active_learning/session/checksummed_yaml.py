@@ -9,7 +9,7 @@ from typing import Any, Dict
 
 import yaml
 
-from embodied_active_learning.files import FileReader, shown
+from embodied_active_learning.files import FileReader, short_repr
 from embodied_active_learning.session.atomic import write_text
 
 # A single changed bit cannot turn this word into a comment that hides the line.
@@ -50,17 +50,19 @@ def read_checksummed(path: Path, reader: FileReader, file_format: str = "", newe
     fields = {name: value for name, value in content.items() if name != CHECKSUM}
     if CHECKSUM in content:
         if content[CHECKSUM] != _digest(fields):
-            raise reader.refuse(f"{path}:", f"{CHECKSUM} does not match, so the file was changed after it was written")
+            raise reader.make_error(
+                f"{path}:", f"{CHECKSUM} does not match, so the file was changed after it was written"
+            )
     elif not file_format or content["version"] >= _FIRST_WITH_CHECKSUM:
-        raise reader.refuse(f"{path}:", f"{CHECKSUM} is missing, so the end of the file was lost")
+        raise reader.make_error(f"{path}:", f"{CHECKSUM} is missing, so the end of the file was lost")
     return fields
 
 
 def _check_version(path: Path, version: Any, newest: int, reader: FileReader) -> None:
     if type(version) is not int or version < 1:
-        raise reader.refuse(f"{path}:", f"version is {shown(version)}, expected a number from 1")
+        raise reader.make_error(f"{path}:", f"version is {short_repr(version)}, expected a number from 1")
     if version > newest:
-        raise reader.refuse(
+        raise reader.make_error(
             f"{path}:",
             f"version is {version}, but this package reads versions up to {newest}; "
             "install the newer version of embodied_active_learning that wrote the file",

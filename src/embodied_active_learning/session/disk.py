@@ -55,7 +55,7 @@ def free_bytes(path: Path) -> int:
         raise SessionError(f"free space of {path} is unknown ({error.strerror}): check the disk") from error
 
 
-def bytes_below(folder: Path) -> int:
+def folder_size(folder: Path) -> int:
     """Return the bytes in the files of a session, without links and bags. Files may disappear meanwhile."""
     total = 0
     for parent, folders, names in os.walk(folder):

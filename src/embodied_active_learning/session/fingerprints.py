@@ -20,7 +20,7 @@ import yaml
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.files import FileReader, open_plain, shown
+from embodied_active_learning.files import FileReader, open_regular_file, short_repr
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.limits import RULES, Calibration
@@ -93,7 +93,7 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
         stays_inside(session_path, folder)
         folder.mkdir(exist_ok=True)
         sync_folder(session_path)
-        with open_plain(folder / LOCK_FILE, "r+b") as held:
+        with open_regular_file(folder / LOCK_FILE, "r+b") as held:
             claim(held, folder)
             return _replace_set(folder, found)
     except (OSError, SessionError) as error:
@@ -244,7 +244,7 @@ def _read_calibration(session_path: Path, path: Path) -> Optional[Calibration]:
         if build(_CalibrationFacts, facts, path, CorruptFileError, _READER.remedy).rules != RULES:
             return None
         if sorted(tensors) != sorted(_SIMILARITIES):
-            raise _READER.refuse(f"{path}:", f"expected the tensors {' and '.join(_SIMILARITIES)}")
+            raise _READER.make_error(f"{path}:", f"expected the tensors {' and '.join(_SIMILARITIES)}")
         return Calibration(**{name: tensor.numpy() for name, tensor in tensors.items()})
 
 
@@ -252,10 +252,10 @@ def _check_names(path: Path, tensors: Collection[str]) -> None:
     """Check that the tensors are exactly the arrays of a fingerprint."""
     for name in ARRAYS:
         if name not in tensors:
-            raise _READER.refuse(f"{path}:", f"{name} is missing")
+            raise _READER.make_error(f"{path}:", f"{name} is missing")
     for name in tensors:
         if name not in ARRAYS:
-            raise _READER.refuse(f"{path}:", f"tensor {shown(name)} is unknown")
+            raise _READER.make_error(f"{path}:", f"tensor {short_repr(name)} is unknown")
 
 
 def _check_inside(session_path: Path, path: Path) -> None:
@@ -276,7 +276,7 @@ def _damage_in(path: Path) -> Iterator[None]:
     except CorruptFileError:
         raise
     except (SessionError, TypeError, ValueError) as error:
-        raise _READER.refuse(f"{path}:", str(error)) from error
+        raise _READER.make_error(f"{path}:", str(error)) from error
 
 
 def _remove(paths: Iterable[Path]) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, Iterator, Optional
 
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.files import open_plain
+from embodied_active_learning.files import open_regular_file
 
 _ATTEMPTS = 3
 _PAUSE = 0.1  # s between attempts
@@ -32,7 +32,7 @@ def acquire(path: Path) -> BinaryIO:
         SessionError: Another process holds the lock (named), or the file cannot be locked.
     """
     with _errors_naming(path):
-        stream = open_plain(path, "r+b")
+        stream = open_regular_file(path, "r+b")
         try:
             if not _lock_with_retries(stream):
                 raise SessionError(in_use(path.parent, _name_in(stream)))
@@ -52,7 +52,7 @@ def holder(path: Path) -> Optional[str]:
     """
     with _errors_naming(path):
         try:
-            stream = open_plain(path)
+            stream = open_regular_file(path)
         except (FileNotFoundError, NotADirectoryError):
             return None
         with stream:

@@ -14,7 +14,7 @@ from typing import Iterator, Optional, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.files import FileReader, open_plain
+from embodied_active_learning.files import FileReader, open_regular_file
 from embodied_active_learning.schema import build, required, to_plain
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import sync_folder, write_text
@@ -108,7 +108,7 @@ class RecordFile:
         self.path = path
         self.layout = layout
         try:
-            self._stream = open_plain(path, "r+b" if writable else "rb")
+            self._stream = open_regular_file(path, "r+b" if writable else "rb")
             if writable:
                 sync_folder(path.parent)  # the file may be new
         except OSError as error:

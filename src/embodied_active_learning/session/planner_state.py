@@ -55,7 +55,7 @@ def load_planner_state(path: Path) -> Optional[PlannerState]:
     for name in _ARRAYS:
         array = arrays.get(name)
         if array is None or array.dtype != np.float64 or array.shape != (3,) or not np.all(np.isfinite(array)):
-            raise _READER.refuse(f"{path}:", f"{name} is missing, not finite, or of the wrong shape")
+            raise _READER.make_error(f"{path}:", f"{name} is missing, not finite, or of the wrong shape")
     facts = build(_Facts, stored, path, CorruptFileError, _REMEDY)
     run = {name[len(_RUN) :]: array for name, array in arrays.items() if name.startswith(_RUN)}
     seconds, nanoseconds = facts.stamp

@@ -19,7 +19,7 @@ from embodied_active_learning.session.description import (
     read_description,
     write_description,
 )
-from embodied_active_learning.session.disk import bytes_below, check_space
+from embodied_active_learning.session.disk import check_space, folder_size
 from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.paths import (
     CONFIG_FILE,
@@ -167,7 +167,7 @@ def check_session(config: Config) -> Path:
         holder = lock.holder(path / LOCK_FILE)
         if holder is not None:
             raise SessionError(lock.in_use(path, holder))
-        check_space(path, config, bytes_below(path))
+        check_space(path, config, folder_size(path))
     except OSError as error:
         raise SessionError(f"{path} cannot be used ({error.strerror}): choose another session/root") from error
     return path

@@ -60,9 +60,9 @@ def load_session_model(session: Session) -> Optional[SessionModel]:
 def _model(path: Path, config: Config, weights: Dict[str, torch.Tensor]) -> TrainedModel:
     for name, tensor in weights.items():
         if tensor.dtype != torch.float32:
-            raise _READER.refuse(f"{path}:", f"{name} is {tensor.dtype}, expected {torch.float32}")
+            raise _READER.make_error(f"{path}:", f"{name} is {tensor.dtype}, expected {torch.float32}")
     try:
         return TrainedModel(config, weights)
     except RuntimeError as error:
         reason = " ".join(str(error).split())
-        raise _READER.refuse(path, f"does not fit the session's camera and model settings ({reason})") from error
+        raise _READER.make_error(path, f"does not fit the session's camera and model settings ({reason})") from error

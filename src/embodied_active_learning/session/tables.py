@@ -14,7 +14,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.files import FileReader, open_plain, shown
+from embodied_active_learning.files import FileReader, open_regular_file, short_repr
 from embodied_active_learning.schema import to_plain
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import write_bytes
@@ -87,7 +87,7 @@ class Table:
     def _open(self) -> None:
         """Open the file after its last complete row."""
         try:
-            self._stream = open_plain(self.path, "r+b")
+            self._stream = open_regular_file(self.path, "r+b")
         except OSError as error:
             raise SessionError(f"{self.path} cannot be written ({error.strerror}): check the disk") from error
         try:
@@ -139,7 +139,7 @@ def _check_header(path: Path, content: bytes, columns: Sequence[str]) -> None:
     header = (",".join(columns) + "\n").encode("utf-8")
     if content[: len(header)] != header[: len(content)]:
         found = content[: len(header)].decode("utf-8", "replace").split("\n")[0].split(",")
-        raise _READER.refuse(f"{path}:", f"the header is {shown(found)}, expected {list(columns)}")
+        raise _READER.make_error(f"{path}:", f"the header is {short_repr(found)}, expected {list(columns)}")
 
 
 def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]:
@@ -149,13 +149,13 @@ def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]
     try:
         lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
     except csv.Error as error:
-        raise _READER.refuse(path, f"is not a CSV table ({error})") from error
+        raise _READER.make_error(path, f"is not a CSV table ({error})") from error
     if not lines:
         return []
     for number, line in enumerate(lines[1:], start=2):
         if len(line) != len(columns) or not all(_is_number(value) for value in line):
             raise CorruptFileError(
-                f"{path}: line {number} is {shown(line)}, expected {len(columns)} numbers: delete it"
+                f"{path}: line {number} is {short_repr(line)}, expected {len(columns)} numbers: delete it"
             )
     return lines[1:]
 

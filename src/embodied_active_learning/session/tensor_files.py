@@ -30,7 +30,7 @@ def read_tensors(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Te
     arrays, facts = read_arrays(path, kind, reader)
     for name, array in arrays.items():
         if array.dtype == np.uint64:  # not supported by the torch of Noetic
-            raise reader.refuse(f"{path}:", f"{name} is {array.dtype}, which is not a tensor type")
+            raise reader.make_error(f"{path}:", f"{name} is {array.dtype}, which is not a tensor type")
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     _check_finite(tensors, reader.error, str(path))
     return tensors, facts

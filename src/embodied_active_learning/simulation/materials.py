@@ -11,7 +11,7 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.files import shown
+from embodied_active_learning.files import short_repr
 from embodied_active_learning.simulation.assets import read_asset, read_picture
 from embodied_active_learning.simulation.obj_mesh import Mesh, argument
 
@@ -95,7 +95,7 @@ def missing_libraries(mesh: Mesh) -> List[Path]:
 def _library_paths(library: str, mesh: Path) -> List[Path]:
     """Paths of an mtllib statement: one name, which may contain blanks, or several names."""
     if "\0" in library or not library:
-        raise WorldError(f"mesh {mesh}: invalid material file {shown(library)}")
+        raise WorldError(f"mesh {mesh}: invalid material file {short_repr(library)}")
     names = [library] if os.path.exists(mesh.parent / library) else library.split()
     return [mesh.parent / name for name in names]
 
@@ -120,7 +120,9 @@ def _colour(words: List[str], path: Path) -> Colour:
     except ValueError:
         red = math.nan
     if not math.isfinite(red) or not (math.isfinite(green) and math.isfinite(blue)):
-        raise WorldError(f"{path}: invalid colour Kd {shown(' '.join(words))}: give red, green and blue from 0 to 1")
+        raise WorldError(
+            f"{path}: invalid colour Kd {short_repr(' '.join(words))}: give red, green and blue from 0 to 1"
+        )
     return min(max(red, 0.0), 1.0), min(max(green, 0.0), 1.0), min(max(blue, 0.0), 1.0)
 
 
@@ -137,7 +139,7 @@ def _texture_name(line: str, path: Path) -> str:
         elif option in _OPTIONS:
             rest = "".join(rest.split(maxsplit=_OPTIONS[option])[_OPTIONS[option] :])
         else:
-            raise WorldError(f"{path}: unknown texture option {shown(option)}: remove it from the map_Kd line")
+            raise WorldError(f"{path}: unknown texture option {short_repr(option)}: remove it from the map_Kd line")
         rest = rest.strip()
     if not rest or "\0" in rest:
         raise WorldError(f"{path}: map_Kd names no texture file: complete or remove the line")
@@ -163,7 +165,9 @@ def _find(materials: Dict[str, _Material], name: Optional[str], mesh: Mesh) -> _
         return _Material()
     if name not in materials:
         known = ", ".join(sorted(materials)[:8]) or "none"
-        raise WorldError(f"mesh {mesh.path} uses the material {shown(name)}, its material files define {known}: fix it")
+        raise WorldError(
+            f"mesh {mesh.path} uses the material {short_repr(name)}, its material files define {known}: fix it"
+        )
     return materials[name]
 
 

@@ -9,7 +9,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.files import shown
+from embodied_active_learning.files import short_repr
 from embodied_active_learning.simulation.assets import read_asset
 
 _MAX_FILE_SIZE = 2**27
@@ -97,7 +97,7 @@ def read_mesh(path: Path) -> Mesh:
         try:
             parser.parse(line)
         except (ValueError, IndexError) as error:
-            raise WorldError(f"mesh {path} is malformed: line {number}, {shown(line)}: {error}") from None
+            raise WorldError(f"mesh {path} is malformed: line {number}, {short_repr(line)}: {error}") from None
     return parser.mesh(path)
 
 

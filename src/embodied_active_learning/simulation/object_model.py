@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.files import shown
+from embodied_active_learning.files import short_repr
 from embodied_active_learning.geometry import fixed_axes_rotation
 from embodied_active_learning.simulation.assets import read_asset
 from embodied_active_learning.simulation.materials import MeshAppearance, mesh_appearance, missing_libraries, texture_of
@@ -135,11 +135,11 @@ def _urdf_material(
         name = material.get("name", "")
         named = [item for item in robot.findall("material") if item.get("name", "") == name]
         if not named:
-            raise WorldError(f"material {shown(name)} is not defined: add its color or texture")
+            raise WorldError(f"material {short_repr(name)} is not defined: add its color or texture")
         material = named[0]
     colour, texture = material.find("color"), material.find("texture")
     if colour is None and texture is None:
-        raise WorldError(f"material {shown(material.get('name', ''))} has neither color nor texture: add one")
+        raise WorldError(f"material {short_repr(material.get('name', ''))} has neither color nor texture: add one")
     path = None if texture is None else _locate(urdf, texture.get("filename", ""))
     return (None if colour is None else _colour(urdf, colour.get("rgba", ""))), path
 
@@ -147,15 +147,15 @@ def _urdf_material(
 def _colour(urdf: Path, text: str) -> Tuple[float, float, float]:
     red, green, blue, opacity = _vector(urdf, text, 4)
     if not all(0.0 <= value <= 1.0 for value in (red, green, blue, opacity)):
-        raise WorldError(f"rgba {shown(text)} is out of range: give values from 0 to 1")
+        raise WorldError(f"rgba {short_repr(text)} is out of range: give values from 0 to 1")
     if opacity == 0.0:
-        raise WorldError(f"rgba {shown(text)} is invisible: set its opacity, the fourth value, to 1")
+        raise WorldError(f"rgba {short_repr(text)} is invisible: set its opacity, the fourth value, to 1")
     return red, green, blue
 
 
 def _locate(urdf: Path, address: str) -> Path:
     if not address or "\0" in address:
-        raise WorldError(f"URDF {urdf}: invalid file name {shown(address)}")
+        raise WorldError(f"URDF {urdf}: invalid file name {short_repr(address)}")
     path = locate(address, urdf.parent)
     if "\\" in address and not os.path.exists(path):
         raise WorldError(f"URDF {urdf}: {path} is missing (a Windows path?): use / in file names")
@@ -174,5 +174,5 @@ def _vector(urdf: Path, text: str, size: int) -> Vector:
     except ValueError:
         numbers = ()
     if len(numbers) != size or not np.isfinite(numbers).all():
-        raise WorldError(f"URDF {urdf}: {shown(text)} is not {size} numbers")
+        raise WorldError(f"URDF {urdf}: {short_repr(text)} is not {size} numbers")
     return numbers

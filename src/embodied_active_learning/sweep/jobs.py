@@ -12,7 +12,7 @@ from embodied_active_learning.model.learner import DivergenceError
 from embodied_active_learning.pipeline.learning import learn
 from embodied_active_learning.pipeline.progress import Progress
 from embodied_active_learning.pipeline.resolve import resolve_config
-from embodied_active_learning.session.disk import bytes_below, estimate_bytes
+from embodied_active_learning.session.disk import estimate_bytes, folder_size
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.sweep.run_records import has_record, load_record, record_session, write_record
@@ -72,7 +72,7 @@ class Job:
 
     def bytes_needed(self) -> int:
         """Return the bytes that the rest of the run stores."""
-        stored = bytes_below(self.session) if self.session.is_dir() else 0
+        stored = folder_size(self.session) if self.session.is_dir() else 0
         return 0 if self.complete else max(0, estimate_bytes(self.run.config()) - stored)
 
     def __call__(self) -> str:

@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 from embodied_active_learning.errors import ArmFailedError, NoResponseError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.arm.error_codes import error_of
+from embodied_active_learning.ros.arm.causes import error_of
 from embodied_active_learning.ros.runtime.node import wait_until
 from embodied_active_learning.ros.runtime.services import (
     HANDLER_FAILED,

@@ -19,8 +19,9 @@ from std_msgs.msg import Header
 
 from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import RobotError
-from embodied_active_learning.franka.mount import CameraMount, CameraPose, quaternion
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller
+from embodied_active_learning.geometry import quaternion
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.services import TRANSPORT_ERRORS, is_advertised, log_service_wait
 

@@ -66,7 +66,7 @@ class FrankaSupervisor:
                 self._driver.readiness.release()
             self._settle()
             prepare = False
-            if self._condition() in (Condition.REFLEX, Condition.HELD):
+            if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
                 prepare = self._clear_errors()
             if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
                 self._prepare()  # a restarted franka_control has lost all settings

@@ -14,7 +14,7 @@ from embodied_active_learning.errors import ArmFailedError
 from embodied_active_learning.msg import ArmCause, PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.arbiter import ArmArbiter
-from embodied_active_learning.ros.arm.error_codes import cause_fields
+from embodied_active_learning.ros.arm.causes import cause_fields
 from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.diagnostics import Health, report_health
 from embodied_active_learning.ros.runtime.services import advertise_service

@@ -7,7 +7,7 @@ from typing import Iterator, Protocol
 
 import roslz4
 
-from embodied_active_learning.files import shown
+from embodied_active_learning.files import short_repr
 
 _PIECE = 2**16  # compressed bytes per step
 _MAX_STEP = 2**20  # uncompressed bytes per step of bz2
@@ -74,7 +74,7 @@ def decompress(compression: str, stream: ReadStream, size: int) -> DecompressedS
         return DecompressedStream(_bz2_pieces(_pieces(stream, size)))
     if compression == "lz4":
         return DecompressedStream(_lz4_pieces(_pieces(stream, size)))
-    raise ValueError(f"unknown chunk compression {shown(compression)}")
+    raise ValueError(f"unknown chunk compression {short_repr(compression)}")
 
 
 def _pieces(stream: ReadStream, size: int) -> Iterator[bytes]:

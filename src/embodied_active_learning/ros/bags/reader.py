@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Callable, Dict, Iterator, NamedTuple, Tuple
 
 from embodied_active_learning.errors import BagError
-from embodied_active_learning.files import open_plain, shown
+from embodied_active_learning.files import open_regular_file, short_repr
 from embodied_active_learning.ros.bags.chunk import ReadStream, decompress
 
 MAX_MESSAGE_SIZE = 2**26
@@ -102,7 +102,7 @@ class BagFile:
 
     def _open(self) -> io.BufferedReader:
         try:
-            return io.BufferedReader(open_plain(self.path, follow=True), _BUFFER)  # type: ignore[arg-type]
+            return io.BufferedReader(open_regular_file(self.path, follow=True), _BUFFER)  # type: ignore[arg-type]
         except (OSError, ValueError) as error:  # ValueError: null byte in the path
             reason = getattr(error, "strerror", None) or error
             raise BagError(f"cannot read {self.path}: {reason}; give the path of an existing bag") from error
@@ -114,7 +114,9 @@ class BagFile:
             raise BagError(f"{self.path} is not a ROS bag: give one written by rosbag, record:=true or session_to_bag")
         if not found.endswith(_VERSION):
             version = found[len(_MAGIC) :].decode("ascii", "replace").strip()
-            raise BagError(f"{self.path} has bag format {shown(version)}, expected 2.0: convert it with rosbag fix")
+            raise BagError(
+                f"{self.path} has bag format {short_repr(version)}, expected 2.0: convert it with rosbag fix"
+            )
         try:
             header = next(_records(stream, os.fstat(stream.fileno()).st_size))
             if header.number("op", "<B") != _FILE_HEADER:

@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, ConfigError, ObservationError
-from embodied_active_learning.files import MAX_YAML_SIZE, shown
+from embodied_active_learning.files import MAX_YAML_SIZE, short_repr
 from embodied_active_learning.msg import Observation, PlanarState, TargetDistribution
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.bags.pairing import RecordedPairs, model_image
@@ -247,7 +247,7 @@ def _deserialise(bag: BagFile, message: BagMessage, expected: Type[genpy.Message
     connection = message.connection
     if (connection.datatype, connection.md5sum) != (expected._type, expected._md5sum):
         raise BagError(
-            f"{bag.path}: {connection.topic} has type {shown(connection.datatype)} with another MD5 sum than "
+            f"{bag.path}: {connection.topic} has type {short_repr(connection.datatype)} with another MD5 sum than "
             f"{expected._type}: convert it with rosbag fix, or use the version that recorded it"
         )
     try:

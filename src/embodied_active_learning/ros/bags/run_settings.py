@@ -9,7 +9,7 @@ import yaml
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.config_versions import CONFIG_VERSION, FIRST_BAG_VERSION, stored_config
-from embodied_active_learning.files import MAX_YAML_SIZE, parse_yaml, shown
+from embodied_active_learning.files import MAX_YAML_SIZE, parse_yaml, short_repr
 
 
 def settings_text(config: Config) -> str:
@@ -31,7 +31,7 @@ def read_settings(text: str) -> Dict[str, Any]:
     stored = parse_yaml(text)
     version = stored.pop("version", FIRST_BAG_VERSION) if isinstance(stored, dict) else FIRST_BAG_VERSION
     if type(version) is not int:
-        raise ValueError(f"version is {shown(version)}: expected a whole number")
+        raise ValueError(f"version is {short_repr(version)}: expected a whole number")
     values = stored_config(stored, version).to_dict()
     values.pop("session")
     return values

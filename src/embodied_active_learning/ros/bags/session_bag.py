@@ -14,7 +14,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import BagError, SessionError
 from embodied_active_learning.ros.bags.writer import BagWriter
 from embodied_active_learning.session.atomic import make_folder
-from embodied_active_learning.session.disk import bytes_below, check_space, free_bytes
+from embodied_active_learning.session.disk import check_space, folder_size, free_bytes
 from embodied_active_learning.session.paths import SessionPaths
 
 
@@ -69,7 +69,7 @@ class SessionBag:
         }
 
     def _require_space(self) -> None:
-        check_space(self._session, self._config, bytes_below(self._session))
+        check_space(self._session, self._config, folder_size(self._session))
 
     def _stop(self, reason: str) -> None:
         with self._stopping:

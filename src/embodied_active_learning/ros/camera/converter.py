@@ -53,7 +53,7 @@ class ImageConverter:
         info = CameraInfo(**{name: getattr(calibration.info, name) for name in CameraInfo.__slots__})
         if calibration.rectification is not None:
             image = image_message(picture.header.stamp, calibration.rectification.apply(array))
-        elif raw and framing.changes_nothing and (picture.encoding, picture.step) == ("rgb8", 3 * width):
+        elif raw and framing.is_identity and (picture.encoding, picture.step) == ("rgb8", 3 * width):
             image = picture
             image.header.frame_id = names.CAMERA_FRAME
         else:

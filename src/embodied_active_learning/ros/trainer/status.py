@@ -20,7 +20,7 @@ from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN, Health, Rate, report_health, rounded
 from embodied_active_learning.ros.runtime.timers import WallTimer
 from embodied_active_learning.ros.rviz.clusters import cluster_markers
-from embodied_active_learning.session.disk import bytes_below, check_space, free_bytes
+from embodied_active_learning.session.disk import check_space, folder_size, free_bytes
 
 MIN_PERIOD = 0.1
 """Wall seconds between two messages while updates are made ..."""
@@ -108,7 +108,7 @@ class TrainerStatus:
             return Health(ERROR, str(self.error), values)
         try:
             # The same requirement, with the same reserve, as before a run.
-            check_space(run.folder, self._config, bytes_below(run.folder))
+            check_space(run.folder, self._config, folder_size(run.folder))
             values["disk free [GB]"] = round(free_bytes(run.folder) / 1e9, 2)
         except SessionError as error:
             return Health(WARN, str(error), values)
