@@ -68,7 +68,9 @@ def longest_wait() -> Optional[Wait]:
     """Return the longest wait in progress, or None."""
     with _lock:
         oldest = _entries[0] if _entries else None
-    what = "" if oldest is None else oldest.what()
+    if oldest is None:
+        return None
+    what = oldest.what()
     return Wait(what, time.monotonic() - oldest.started_at) if what else None
 
 
