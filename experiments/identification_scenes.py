@@ -36,6 +36,8 @@ OTHER_TABLE = ("other table", "all")
 """Conditions with a table that no session learned."""
 OBJECTS, UNKNOWN_OBJECTS, SPACING, CLOSE = 2, 2, 0.12, 0.09
 EXPOSURE, SPEED = 0.02, 0.15  # s, m/s: a blur of 3 mm, or 3.4 px
+NO_OBJECT = "?"
+"""Kind in the tables of a fingerprint at whose centre no object stands."""
 _RESAMPLES = 2000
 _RESERVED_FROM = 500  # number of the first reserved procedural object
 
@@ -186,7 +188,7 @@ def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[st
         rule=rule,
         session=name[0],
         fingerprint=name[1],
-        kind=kind or "?",
+        kind=kind or NO_OBJECT,
         own_table=int(place.learned_by == name[0]),
         present=int(kind == BLANK or bool(instances)),
         hit=int(hit),
@@ -219,26 +221,27 @@ def report(rows: Sequence[Dict[str, str]]) -> None:
     """Print hits, false claims and undecided shares with intervals over sessions, and location errors.
 
     In conditions with a learned table, an object counts as present for the fingerprints of the session that learned
-    that table.
+    that table. Fingerprints of no object and blanks have lines of their own.
     """
     print("\n| condition | rule | hits | undecided, present | false claims, absent | undecided, absent | error [cm] |")
     print("| --- " * 7 + "|")
-    objects = [row for row in rows if row["kind"] != BLANK]
-    for rule in dict.fromkeys(row["rule"] for row in objects):
-        of_rule = [row for row in objects if row["rule"] == rule]
-        for condition in dict.fromkeys(row["condition"] for row in of_rule):
-            _report_line(condition, rule, [row for row in of_rule if row["condition"] == condition])
-        _report_line("all rows above", rule, of_rule)
     for rule in dict.fromkeys(row["rule"] for row in rows):
-        _report_line("blanks", rule, [row for row in rows if row["kind"] == BLANK and row["rule"] == rule])
+        of_rule = [row for row in rows if row["rule"] == rule]
+        objects = [row for row in of_rule if row["kind"] not in (BLANK, NO_OBJECT)]
+        for condition in dict.fromkeys(row["condition"] for row in objects):
+            _report_line(condition, rule, [row for row in objects if row["condition"] == condition])
+        _report_line("all rows above", rule, objects)
+        _report_line("fingerprints of no object", rule, [row for row in of_rule if row["kind"] == NO_OBJECT])
+        _report_line("blanks", rule, [row for row in of_rule if row["kind"] == BLANK])
 
 
 def _report_line(condition: str, rule: str, rows: Sequence[Dict[str, str]]) -> None:
     there = [row for row in rows if row["present"] == "1" and _is_fair(row)]
     absent = [row for row in rows if row["present"] == "0"]
-    errors = [100.0 * float(row["error"]) for row in there if row["hit"] == "1"]
+    errors = [100.0 * float(row["error"]) for row in there if row["hit"] == "1" and row["kind"] != BLANK]
     cells = (share(there, "hit"), share(there, "undecided"), share(absent, "false_claim"), share(absent, "undecided"))
-    print(f"| {condition} | {rule} | {' | '.join(cells)} | {np.median(errors) if errors else np.nan:.2f} |")
+    if rows:
+        print(f"| {condition} | {rule} | {' | '.join(cells)} | {f'{np.median(errors):.2f}' if errors else '-'} |")
 
 
 def _is_fair(row: Dict[str, str]) -> bool:
