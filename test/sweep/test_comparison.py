@@ -65,7 +65,7 @@ def test_record_is_written_small_and_read_again(tmp_path):
     assert (record.name, record.variant, record.config.exploration.explorer) == ("a", "uniform", "uniform")
     steps = record.tables["exploration"]["step"]
     assert (len(steps), steps[0], steps[-1]) == (300, 1.0, 3000.0)
-    assert sum(path.stat().st_size for path in (tmp_path / "a").iterdir()) < 80_000
+    assert sum(path.stat().st_size for path in (tmp_path / "a").iterdir()) < 90_000
 
 
 def test_command_writes_table_and_csv(tmp_path, capsys, monkeypatch):
