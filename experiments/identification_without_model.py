@@ -50,7 +50,7 @@ from embodied_active_learning.simulation.world_settings import GeneratedTexture
 HALVES = {"tuning": 0, "checking": 1}
 TABLES, OBJECTS = 8, 3
 _ABSENT = 4  # every n-th table without objects in a scene is searched for
-CENTRE_ERROR, LARGEST_ERROR = 0.005, 0.012  # m, standard deviation and limit of a centre's error
+CENTRE_ERROR, MAX_ERROR = 0.005, 0.012  # m, standard deviation and limit of a centre's error
 
 
 def main() -> None:
@@ -149,7 +149,7 @@ class Half:
         barest = max(free, key=lambda one: nearest(one, locations(world))[1])
         fingerprints = []
         for index, item in enumerate(world.objects):
-            error = np.clip(random.normal(0.0, CENTRE_ERROR, 2), -LARGEST_ERROR, LARGEST_ERROR)
+            error = np.clip(random.normal(0.0, CENTRE_ERROR, 2), -MAX_ERROR, MAX_ERROR)
             centre = np.array([*(np.array(item.position[:2]) + error), 0.0])
             fingerprints.append(self._fingerprint(f"object-{index + 1}", OBJECT, centre, scene, random))
         fingerprints.append(self._fingerprint("blank-1", BLANK, np.array([*barest, 0.0]), scene, random))

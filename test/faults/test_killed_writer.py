@@ -23,8 +23,8 @@ from sample_session import NAME, configuration, fingerprints, observation
 
 ROUNDS = 40
 DEATHS = 12  # of each part, at different bytes
-MOST_FILES = 13  # that a writer finishes before it is killed: two of each kind
-LONGEST_LEAVE = 0.01  # s that it then still has, in the middle of what comes next
+MAX_FILES = 13  # that a writer finishes before it is killed: two of each kind
+MAX_LEAVE = 0.01  # s that it then still has, in the middle of what comes next
 # Bytes of what is written of each part, as far as they are of interest. A row is written by one call of the kernel.
 LARGEST = {
     "config": 2500, "observation": 476, "checkpoint": 3000, "model": 2900, "fingerprints": 3000,
@@ -110,7 +110,7 @@ def writers(forked, tmp_path):
 def test_acknowledged_data_survives_sigkill(tmp_path, writers):
     moments = random.Random(5)
     for _ in range(ROUNDS):
-        writers.live(moments.randrange(MOST_FILES), moments.uniform(0.0, LONGEST_LEAVE))
+        writers.live(moments.randrange(MAX_FILES), moments.uniform(0.0, MAX_LEAVE))
         check(tmp_path / NAME, writers.acknowledged)
     assert all(len(numbers) > 10 for numbers in writers.acknowledged.values())
     open_and_write_everything(tmp_path)

@@ -14,7 +14,7 @@ from embodied_active_learning.errors import EmbodiedActiveLearningError, Session
 from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
 from embodied_active_learning.pipeline.identification import IdentificationRun, check_results, read_sets
 from embodied_active_learning.pipeline.resolve import parse_overrides, resolve_config
-from embodied_active_learning.session.fingerprinted import MOST_SESSIONS
+from embodied_active_learning.session.fingerprinted import MAX_SESSIONS
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import check_session, find_session
@@ -94,8 +94,8 @@ def test_unknown_session_lists_known_ones(root):
 def test_number_of_sessions_is_limited(root):
     with pytest.raises(SessionError, match="no sessions given"):
         read_sets(root, [])
-    with pytest.raises(SessionError, match=f"{MOST_SESSIONS + 1} given, at most {MOST_SESSIONS} allowed"):
-        read_sets(root, [f"s{number}" for number in range(MOST_SESSIONS + 1)])
+    with pytest.raises(SessionError, match=f"{MAX_SESSIONS + 1} given, at most {MAX_SESSIONS} allowed"):
+        read_sets(root, [f"s{number}" for number in range(MAX_SESSIONS + 1)])
     assert len(read_sets(root, [NAME] * 100)) == 1
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from embodied_active_learning.objects.stability import (
     EMPTY_CHECKS,
-    LARGEST_DRIFT,
     LEARNED_CHECKS,
+    MAX_DRIFT,
     STABLE_CHECKS,
     Measurement,
     StoppingCriterion,
@@ -57,7 +57,7 @@ def test_new_object_starts_the_count_anew():
 
 def test_slow_drift_is_not_stable():
     """Each check is close to the one before, but not to all."""
-    shift = np.array([0.4 * LARGEST_DRIFT, 0.0])
+    shift = np.array([0.4 * MAX_DRIFT, 0.0])
     results = checks(*[replace(GOOD, centres=TWO + i * shift) for i in range(LEARNED_CHECKS - 1)])
     assert not any(check.stopped for check in results)
     assert results[-1].stable_checks == 3

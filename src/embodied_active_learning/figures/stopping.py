@@ -19,13 +19,13 @@ from embodied_active_learning.figures.style import (
     style_axes,
 )
 from embodied_active_learning.model.verdict import USEFUL
-from embodied_active_learning.objects.stability import LARGEST_DRIFT, LEAST_COVERAGE
+from embodied_active_learning.objects.stability import MAX_DRIFT, MIN_COVERAGE
 from embodied_active_learning.session.session import Session
 
 _WIDTH, _HEIGHT = 5.5, 6.0  # inches
 _SHARES: Tuple[Tuple[str, float, str], ...] = (
     ("latent_contribution", USEFUL, "contribution of\nthe latent"),
-    ("coverage", LEAST_COVERAGE, "coverage"),
+    ("coverage", MIN_COVERAGE, "coverage"),
 )
 _COUNTS = ("objects", "clusters"), ("undiscovered", "visible, not clustered"), ("unlearned", "not reproduced either")
 
@@ -43,7 +43,7 @@ def draw_stopping(path: Path, session: Session) -> Path:
     counts.set_ylim(-0.3, max(table[name].max() for name, _ in _COUNTS) + 1.5)
     label(counts, y="number of\nobjects")
     drift.plot(observations, 100.0 * table["drift"], color=colour(0), marker="o", markersize=3, linewidth=1.0)
-    _limit(drift, 100.0 * LARGEST_DRIFT)
+    _limit(drift, 100.0 * MAX_DRIFT)
     drift.set_ylim(bottom=0.0)
     label(drift, y="drift [cm]")
     for axes, (name, limit, text) in zip(shares, _SHARES):

@@ -35,7 +35,7 @@ PIXEL = 0.0015
 INSIDE_POINTS, RING_POINTS = 256, 192
 _FOREGROUND = 4.0
 """Distance from the nearest table colour, in standard deviations, from which a pixel is the object's."""
-_LEAST_PIXELS = 60
+_MIN_PIXELS = 60
 """Smallest object in a view: 1.35 cm2."""
 _SIMILAR_AREA = 0.25
 """Smallest share of the median area at which a view is used: others were cut by the image's border."""
@@ -87,10 +87,10 @@ class Appearance:
             foreground = (table.distance(features) > _FOREGROUND) & self.in_view[view]
             self.masks[view] = _object_mask(foreground)
             clutter[view] = (foreground & near & ~cv2.dilate(self.masks[view].astype(np.uint8), _CLOSING)).sum()
-            if self.masks[view].sum() >= _LEAST_PIXELS:
+            if self.masks[view].sum() >= _MIN_PIXELS:
                 self._sample(view, features, random)
         sizes = self.masks.sum(axis=(1, 2))
-        self.usable = (sizes >= _LEAST_PIXELS) & (sizes > _SIMILAR_AREA * np.median(sizes))
+        self.usable = (sizes >= _MIN_PIXELS) & (sizes > _SIMILAR_AREA * np.median(sizes))
         self.area = float(np.median(sizes)) * PIXEL**2
         if self.usable.sum() < views / 2:
             self.problem = (
@@ -143,7 +143,7 @@ class Appearance:
         """Draw the sample points of a view with features (SIDE, SIDE, 3)."""
         mask = self.masks[view].astype(np.uint8)
         inside = cv2.erode(mask, _CROSS)
-        inside = inside if inside.sum() >= _LEAST_PIXELS / 2 else mask
+        inside = inside if inside.sum() >= _MIN_PIXELS / 2 else mask
         ring = (cv2.dilate(mask, _RING_OUTER) > 0) & (cv2.dilate(mask, _RING_INNER) == 0)
         extended = _extended(features, np.greater(inside, 0))
         for shown, count, points, values in (

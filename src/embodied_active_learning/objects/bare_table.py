@@ -21,7 +21,7 @@ _GAINS = np.arange(-0.7, 0.51, 0.1)
 """Log gains between the learned table and this one, that is, brightness 0.5 to 1.6."""
 _KNOWN_TABLE = 0.5
 """Share of the scene below which its table is another one."""
-_LEAST_BARE = 0.9
+_MIN_BARE = 0.9
 """Share of table pixels of a bare place, also if the fingerprint's own views show less of the table."""
 _STRIDE = 4
 
@@ -50,9 +50,9 @@ class BareTable:
         self._own_shares = np.sort([self._share(view, fingerprint, camera) for view in range(len(fingerprint.states))])
 
     def limit(self, error_rate: float) -> float:
-        """Share of table pixels that all but a rate of the own views reach (conformal), and at least _LEAST_BARE."""
+        """Share of table pixels that all but a rate of the own views reach (conformal), and at least _MIN_BARE."""
         rank = int(error_rate * (len(self._own_shares) + 1))
-        return max(float(self._own_shares[max(rank - 1, 0)]), _LEAST_BARE)
+        return max(float(self._own_shares[max(rank - 1, 0)]), _MIN_BARE)
 
     def confidence(self, share: float) -> float:
         """Share of the own views that show the table less clearly; conformal, so below 1."""

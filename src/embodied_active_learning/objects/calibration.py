@@ -15,13 +15,13 @@ import numpy as np
 
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.limits import Calibration
-from embodied_active_learning.objects.pose_search import LEAST_VIEWS, best_pose
+from embodied_active_learning.objects.pose_search import MIN_VIEWS, best_pose
 from embodied_active_learning.objects.similarity import similarity, stored_views
 from embodied_active_learning.objects.simulated_views import LOOK_ALIKES, SimulatedViews, draw_views
 
 _EVALUATIONS = 3
 """Evaluations of a simulated place."""
-_VIEWS = LEAST_VIEWS + _EVALUATIONS - 1
+_VIEWS = MIN_VIEWS + _EVALUATIONS - 1
 """Views of a simulated place."""
 _SHIFT = (0.004, 0.004, 0.1)
 """Standard deviation of the pose from which the search of a true view starts [m, m, rad]."""
@@ -56,5 +56,5 @@ def _evaluated(appearance: Appearance, views: SimulatedViews, chosen: List[int],
     """Similarity in each evaluation, at the best pose near the starts (Y, 3)."""
     pose = best_pose(appearance, views, chosen[:1], starts, excluded=chosen, stride=8)
     stored = stored_views(appearance, views, chosen, pose, chosen)
-    parts = [slice(begin, begin + LEAST_VIEWS) for begin in range(max(len(chosen) - LEAST_VIEWS + 1, 1))]
+    parts = [slice(begin, begin + MIN_VIEWS) for begin in range(max(len(chosen) - MIN_VIEWS + 1, 1))]
     return [float(similarity(appearance, views, chosen[part], stored[part], pose[None])[0]) for part in parts]

@@ -40,7 +40,7 @@ _PIXEL_STRIDE = 4
 _BLANK_SHARE = 0.2
 """Share of the workspace, with the lowest entropy, in which the blank region is searched."""
 _BLANK_BANDWIDTH = 0.06  # m
-_LEAST_BACKGROUND_IMAGES = 20
+_MIN_BACKGROUND_IMAGES = 20
 _BACKGROUND_SHARE = 0.1
 """Share of the images, with the lowest entropy, that the table's colour is fitted to."""
 _CONTRAST_QUANTILES = (0.001, 0.999)
@@ -153,7 +153,7 @@ def _warn_about_bandwidth(settings: FingerprintConfig) -> None:
 def _background(model: TrainedModel, latents: np.ndarray, states: np.ndarray, images: np.ndarray) -> Background:
     """Fit the table's colour to the images with the lowest conditional entropy."""
     std = np.exp(model.log_std(latents, states)).mean(axis=0)
-    count = max(_LEAST_BACKGROUND_IMAGES, int(_BACKGROUND_SHARE * len(states)))
+    count = max(_MIN_BACKGROUND_IMAGES, int(_BACKGROUND_SHARE * len(states)))
     return Background(images[np.argsort(std)[:count]])
 
 

@@ -27,7 +27,7 @@ _LOG_LUMINANCE = np.log(_LEVELS / _WHITE + _DARK_LUMINANCE)
 _SHARE: np.ndarray = (3.0 / (_LEVELS + 255.0 * _DARK_COLOUR)).astype(np.float32)
 _CLUSTERS = 8
 _FIT_PIXELS = 8000
-_LEAST_SHARE = 0.005
+_MIN_SHARE = 0.005
 """Share of a place's pixels from which a colour belongs to it."""
 _STRIDE = 5
 _NOISE = 0.03
@@ -80,7 +80,7 @@ class TableColours:
         table = np.zeros((len(places), count))
         np.add.at(table, (source, labels), 1.0)
         table /= np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-        common = (table > _LEAST_SHARE).sum(axis=0) >= max(min(2, len(places)), least_share * len(places))
+        common = (table > _MIN_SHARE).sum(axis=0) >= max(min(2, len(places)), least_share * len(places))
         kept = np.flatnonzero(common) if common.any() else np.array([int(table.sum(axis=0).argmax())])
         self._centres = np.asarray(centres)[kept]
         self._whitening: List[np.ndarray] = []

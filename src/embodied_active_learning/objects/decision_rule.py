@@ -18,7 +18,7 @@ from embodied_active_learning.objects.beliefs import Peak
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.pose_search import LEAST_VIEWS, Candidate, propose, refine
+from embodied_active_learning.objects.pose_search import MIN_VIEWS, Candidate, propose, refine
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 
@@ -28,7 +28,7 @@ _REFINEMENT_DISTANCE = 0.02  # m
 _REFINEMENT_TURN = 0.5  # rad
 _CLEARLY_BELOW = 0.5
 """Share of the miss limit that an object reaches also in few or distant views, or on a table of its colours."""
-_LARGEST_TABLE_MATCH = 0.3
+_MAX_TABLE_MATCH = 0.3
 """Share of the scene with the object's colours above which similarities just below the miss limit decide nothing."""
 
 
@@ -72,7 +72,7 @@ class DecisionRule:
             item.pose[:2]
             for item in group
             if item.outcome == UNDECIDED
-            and (item.views < LEAST_VIEWS or (item.views < self._settings.views and 1.0 - item.residual >= miss))
+            and (item.views < MIN_VIEWS or (item.views < self._settings.views and 1.0 - item.residual >= miss))
         ]
 
     def candidates(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
@@ -116,7 +116,7 @@ class DecisionRule:
         """Decide at a candidate pose, given why absence cannot be stated and the share of the scene in its colours."""
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
         clearly_below = -1.0 < value < _CLEARLY_BELOW * limits.miss
-        if candidate.near < LEAST_VIEWS and not clearly_below:
+        if candidate.near < MIN_VIEWS and not clearly_below:
             outcome, reason = UNDECIDED, unseen or "a place where it may be has too few views: take more images"
         elif value >= limits.found:
             outcome = FOUND
@@ -129,7 +129,7 @@ class DecisionRule:
             )
         elif unseen:
             outcome, reason = UNDECIDED, f"best similarity {value:.2f}, but {unseen}"
-        elif table_match > _LARGEST_TABLE_MATCH and not clearly_below:
+        elif table_match > _MAX_TABLE_MATCH and not clearly_below:
             outcome = UNDECIDED
             reason = (
                 f"best similarity {value:.2f}, but {100 * table_match:.0f} % of the scene has its colours: use another "
@@ -141,7 +141,7 @@ class DecisionRule:
         return replace(
             self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
             confidence=target.calibration.confidence(value),
-            residual=1.0 - value if candidate.near >= LEAST_VIEWS else np.inf,
+            residual=1.0 - value if candidate.near >= MIN_VIEWS else np.inf,
             views=candidate.near,
         )
 

@@ -22,7 +22,7 @@ _IMAGES = 100
 """Number of images, spread over the run, that are projected."""
 _FOREGROUND = 0.5
 """Smallest mean salience of a thing. Textures of a table stay below it: they look alike everywhere."""
-_LEAST_CELLS = 3
+_MIN_CELLS = 3
 _BLUR = 0.7  # cells
 _WIDTH = 0.045  # m
 """Bandwidth of mean shift, which separates things that touch, such as an object on a print."""
@@ -44,7 +44,7 @@ def visible_things(states: np.ndarray, images: np.ndarray, background: Backgroun
     centres = [np.empty((0, 2))]
     for region in range(1, count + 1):
         cells = np.argwhere(regions == region)
-        if len(cells) >= _LEAST_CELLS:
+        if len(cells) >= _MIN_CELLS:
             centres.append(MeanShift(bandwidth=_WIDTH / _CELL).fit(cells).cluster_centers_)
     return lower + (np.concatenate(centres) + 0.5) * _CELL
 

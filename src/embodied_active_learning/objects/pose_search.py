@@ -38,7 +38,7 @@ _STARTS = 6
 """Yaws from which the pose is searched at a place."""
 _CLIMBS = 3
 """Starts that are followed to their most similar pose: the first comparison may prefer an object turned by half."""
-LEAST_VIEWS = 3
+MIN_VIEWS = 3
 """Views from near a place without which an object is not found there."""
 _FAR = 1.5
 """Where there are fewer, views from up to this many times as far may show that it is not there."""
@@ -123,8 +123,8 @@ def refine(
     """
     chosen = views.nearest(above, settings.views, settings.view_distance)
     near = len(chosen)
-    if near < LEAST_VIEWS:
-        chosen = views.nearest(above, LEAST_VIEWS, _FAR * settings.view_distance)
+    if near < MIN_VIEWS:
+        chosen = views.nearest(above, MIN_VIEWS, _FAR * settings.view_distance)
     if not len(chosen):
         return Candidate(starts[0], -1.0, chosen, near)
     pose = best_pose(appearance, views, chosen, starts, least=_PROMISING * miss)

@@ -8,7 +8,7 @@ _FOREGROUND_BEGINS = 4.0
 """Mahalanobis distance from the table's colour up to which a pixel is background (salience 0)."""
 _FOREGROUND_CERTAIN = 8.0
 """Mahalanobis distance from which on a pixel is foreground (salience 1)."""
-_LEAST_STD = 2.0
+_MIN_STD = 2.0
 """Standard deviation [grey levels] added to the table's colour: that of a plain table may be zero."""
 _STRIDE = 6
 """Every how many pixels the table's colour is sampled."""
@@ -30,7 +30,7 @@ class Background:
         deviations = pixels - self.colour
         size = np.abs(deviations).sum(axis=1)
         inliers = deviations[size <= np.quantile(size, _INLIERS)]
-        covariance = inliers.T @ inliers / len(inliers) + _LEAST_STD**2 * np.eye(3)
+        covariance = inliers.T @ inliers / len(inliers) + _MIN_STD**2 * np.eye(3)
         self._whitening = np.linalg.cholesky(np.linalg.inv(covariance))
 
     def salience(self, image: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ Indices = Union[Sequence[int], np.ndarray]
 LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
 """Differences of log luminance and of colour at which a match is 1/2. The object's own contrast is added:
 shading moves over an object that is turned under a fixed light."""
-_LARGEST_CONTRAST = (0.2, 0.1)
+_MAX_CONTRAST = (0.2, 0.1)
 """Parts of the object's contrast that are added at most: in objects of several colours more of it is pattern."""
 _GAIN = (-1.0, 0.6)
 """Limits of the gain: log luminance of the view minus that of the stored view."""
@@ -29,7 +29,7 @@ _GRADIENT_UNIT = 0.05
 _GRADIENT_PRIOR = 12.0
 _BALANCE = 0.1
 """Limit of the shift of red and green shares."""
-_LEAST_INSIDE, _LEAST_RING = 0.6, 0.25
+_MIN_INSIDE, _MIN_RING = 0.6, 0.25
 """Share of the points that must be in view. Without a ring its match is taken as _UNSEEN_RING."""
 _UNSEEN_RING = 0.3
 
@@ -102,7 +102,7 @@ def matches(
 
 def _scale(appearance: Appearance) -> Tuple[float, float]:
     """Differences of log luminance and of colour at which a match with an object is 1/2."""
-    luminance, colour = np.minimum(appearance.contrast, _LARGEST_CONTRAST)
+    luminance, colour = np.minimum(appearance.contrast, _MAX_CONTRAST)
     return float(np.hypot(LUMINANCE_SCALE, luminance)), float(np.hypot(COLOUR_SCALE, colour))
 
 
@@ -121,8 +121,8 @@ def _in_view(
     light = _fit_light(change, inside_valid, inside_points, scale)
     of_inside = _mean(_match(change, inside_points, light, scale), inside_valid)
     of_ring = _mean(_match(ring - appearance.ring_features[stored, ::stride], ring_points, light, scale), ring_valid)
-    of_ring = np.where(ring_valid.mean(axis=1) < _LEAST_RING, _UNSEEN_RING, of_ring)
-    return np.where(inside_valid.mean(axis=1) < _LEAST_INSIDE, -1.0, of_inside - of_ring)
+    of_ring = np.where(ring_valid.mean(axis=1) < _MIN_RING, _UNSEEN_RING, of_ring)
+    return np.where(inside_valid.mean(axis=1) < _MIN_INSIDE, -1.0, of_inside - of_ring)
 
 
 def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale: Tuple[float, float]) -> Light:

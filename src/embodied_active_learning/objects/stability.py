@@ -19,9 +19,9 @@ EMPTY_CHECKS = 6
 """Successive checks that must find no object before there is nothing to learn: objects appear late on some tables."""
 LEARNED_CHECKS = 8
 """Successive checks in which the model must reproduce every visible thing, if its clusters are not stable."""
-LARGEST_DRIFT = 0.01  # m
+MAX_DRIFT = 0.01  # m
 """Distance by which the centre of a stable object may differ between these checks."""
-LEAST_COVERAGE = 0.6
+MIN_COVERAGE = 0.6
 """Smallest workspace coverage k; the ergodic explorer reaches it after about 200 steps, a random walk after 900."""
 
 
@@ -102,7 +102,7 @@ class StopCheck:
         things = f"undiscovered {self.undiscovered}, all learned for {self.learned_checks}/{LEARNED_CHECKS} checks"
         return (
             f"objects {self.objects} for {self.stable_checks}/{needed} checks{drift}  {things}"
-            f"{latent}  coverage {self.coverage:.2f}/{LEAST_COVERAGE:g}"
+            f"{latent}  coverage {self.coverage:.2f}/{MIN_COVERAGE:g}"
         )
 
 
@@ -146,7 +146,7 @@ class StoppingCriterion:
             contrast=measured.contrast,
             latent_contribution=measured.latent_contribution,
             coverage=measured.coverage,
-            stopped=bool((stable or self._learned_checks >= LEARNED_CHECKS) and measured.coverage >= LEAST_COVERAGE),
+            stopped=bool((stable or self._learned_checks >= LEARNED_CHECKS) and measured.coverage >= MIN_COVERAGE),
         )
 
     def state_dict(self) -> Dict[str, Any]:
@@ -168,7 +168,7 @@ class StoppingCriterion:
         """Number of last checks, one after the other, whose objects are those of the newest."""
         newest, count = self._centres[-1], 0
         for centres in reversed(self._centres):
-            if not largest_distance(centres, newest) <= LARGEST_DRIFT:
+            if not largest_distance(centres, newest) <= MAX_DRIFT:
                 break
             count += 1
         return count

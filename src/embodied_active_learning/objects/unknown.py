@@ -22,9 +22,9 @@ _COMMON = 1.0 / 3.0
 """Share of the parts that show a colour of the table; an object reaches into few of them."""
 _FOREGROUND = 5.0
 """Distance from the nearest table colour, in standard deviations, from which a pixel is not the table's."""
-_LARGEST_FOREGROUND = 0.3
+_MAX_FOREGROUND = 0.3
 """Share of the scene above which the table itself differs from its colours."""
-_LEAST_AREA, _LARGEST_AREA = 4e-4, 1.2e-2
+_MIN_AREA, _MAX_AREA = 4e-4, 1.2e-2
 """Visible area of an object [m^2]."""
 _CROSS: np.ndarray = np.ones((3, 3), np.uint8)
 _PICTURE = 20
@@ -57,7 +57,7 @@ def find_unknown(mosaic: Mosaic, decisions: Sequence[Decision], separation: floa
     if not shown.any():
         return []
     foreground = (_table_colours(mosaic, shown).distance(mosaic.features) > _FOREGROUND) & shown
-    if foreground.sum() > _LARGEST_FOREGROUND * shown.sum():
+    if foreground.sum() > _MAX_FOREGROUND * shown.sum():
         return []
     x, y = np.meshgrid(mosaic.x, mosaic.y)
     for decision in decisions:
@@ -69,7 +69,7 @@ def find_unknown(mosaic: Mosaic, decisions: Sequence[Decision], separation: floa
     areas = np.asarray(statistics)[:, cv2.CC_STAT_AREA] * MOSAIC_PIXEL**2
     found = []
     for label in 1 + np.argsort(-areas[1:], kind="stable"):
-        if _LEAST_AREA <= areas[label] <= _LARGEST_AREA:
+        if _MIN_AREA <= areas[label] <= _MAX_AREA:
             rows, columns = (int(values.mean()) for values in np.nonzero(np.asarray(labels) == label))
             picture = mosaic.colours[
                 max(rows - _PICTURE, 0) : rows + _PICTURE, max(columns - _PICTURE, 0) : columns + _PICTURE

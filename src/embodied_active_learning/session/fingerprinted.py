@@ -10,7 +10,7 @@ from embodied_active_learning.errors import SessionError
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import find_session
 
-MOST_SESSIONS = 64
+MAX_SESSIONS = 64
 """Largest number of sessions whose fingerprints are searched for; each keeps a model in memory."""
 _GENERATION = re.compile(r"[0-9]{6,}")
 
@@ -45,8 +45,8 @@ def searched_sessions(root: Path, names: Sequence[str]) -> List[Path]:
     unique = list(dict.fromkeys(names))
     if not unique:
         raise SessionError("no sessions given: name at least one session with fingerprints, such as sessions:=NAME")
-    if len(unique) > MOST_SESSIONS:
-        raise SessionError(f"too many sessions: {len(unique)} given, at most {MOST_SESSIONS} allowed")
+    if len(unique) > MAX_SESSIONS:
+        raise SessionError(f"too many sessions: {len(unique)} given, at most {MAX_SESSIONS} allowed")
     paths = [find_session(root, name, "one of sessions") for name in unique]
     for path in paths:
         newest_generation(path)

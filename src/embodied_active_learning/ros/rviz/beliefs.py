@@ -31,7 +31,7 @@ from embodied_active_learning.ros.rviz.markers import (
     label_marker,
 )
 
-_LEAST_RANGE = 0.05
+_MIN_RANGE = 0.05
 """Smallest range of the grids: small variations of flat beliefs do not look like peaks."""
 
 
@@ -80,7 +80,7 @@ class RvizBeliefs:
             return
         stamp = rospy.Time.now()
         reliefs = [prominence(target.grid) for target in targets]
-        scale = max([_LEAST_RANGE, *(float(relief.max()) for relief in reliefs)])
+        scale = max([_MIN_RANGE, *(float(relief.max()) for relief in reliefs)])
         for target, publisher in zip(targets, publishers):
             if always or publisher.get_num_connections():
                 publisher.publish(grid_message(stamp, target.grid, scale))

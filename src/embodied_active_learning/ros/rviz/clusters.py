@@ -8,7 +8,7 @@ import numpy as np
 import rospy
 from visualization_msgs.msg import Marker, MarkerArray
 
-from embodied_active_learning.objects.stability import LARGEST_DRIFT, StopCheck
+from embodied_active_learning.objects.stability import MAX_DRIFT, StopCheck
 from embodied_active_learning.ros.rviz.markers import (
     BLANK_COLOUR,
     FOUND_COLOUR,
@@ -26,7 +26,7 @@ def cluster_markers(stamp: rospy.Time, check: StopCheck) -> MarkerArray:
     markers: List[Marker] = [Marker(action=Marker.DELETEALL)]
     for number, (centre, drift) in enumerate(zip(check.centres, check.drifts)):
         is_new = bool(np.isnan(drift))
-        colour = BLANK_COLOUR if is_new else FOUND_COLOUR if drift <= LARGEST_DRIFT else OBJECT_COLOUR
+        colour = BLANK_COLOUR if is_new else FOUND_COLOUR if drift <= MAX_DRIFT else OBJECT_COLOUR
         text = "new" if is_new else f"drift {100.0 * drift:.1f} cm"
         markers.append(disc_marker(stamp, "clusters", number, centre, colour))
         markers.append(label_marker(stamp, "cluster_drifts", number, centre, text))
