@@ -11,7 +11,7 @@ numbered in turn, so that a round uses the observations that the same updates of
 Failures. Each worker has a process group of its own with the owner (Gloo, two members): a collective of all trainers
 would fail with any of them, and the members of a group are fixed. If a worker dies, freezes or loses its network, only
 its group fails: the round ends without it (after training/worker_timeout at most), the remaining trainers make the
-updates that it owes, and once it answers again it joins as a new worker. No observation is lost, because workers only
+updates that it owes, and once it responds again it joins as a new worker. No observation is lost, because workers only
 hold copies.
 
 Messages are tensors of known shape and type, and the configuration as JSON; nothing is unpickled. Gloo and the store

@@ -15,7 +15,7 @@ from embodied_active_learning.errors import EmbodiedActiveLearningError
 
 OWNER, WORKER = 0, 1  # ranks
 JOIN_TIMEOUT = 20.0  # s, for forming a group
-SILENCE = 4.0  # times training/worker_timeout without a message, after which either side gives up the link
+LINK_TIMEOUT_FACTOR = 4.0  # times training/worker_timeout without a message, after which either side gives up the link
 
 
 class LinkError(EmbodiedActiveLearningError):

@@ -1,9 +1,9 @@
-"""What the owner sends to a worker, and the answer. A message is a header, followed by the tensors listed here.
+"""What the owner sends to a worker, and the response. A message is a header, followed by the tensors listed here.
 
 IDLE: none. OBSERVATIONS: states (n, D) float32 normalised, images (n, H, W, 3) uint8. ROUND: weights (P,) float32, and,
 if the header says so, moments (2 P + 1,) float32.
 
-The answer to each message is the number of updates made, (1,) float64; to a ROUND, weights (P,) float32 follow.
+The response to each message is the number of updates made, (1,) float64; to a ROUND, weights (P,) float32 follow.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class Header(NamedTuple):
         return cls(*map(int, numbers))._replace(beta=numbers[-2], gamma=numbers[-1])
 
 
-def empty_answer() -> torch.Tensor:
-    """Return the first tensor of an answer, with no updates made."""
+def empty_response() -> torch.Tensor:
+    """Return the first tensor of a response, with no updates made."""
     return torch.zeros(1, dtype=torch.float64)
 
 

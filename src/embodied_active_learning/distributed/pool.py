@@ -1,4 +1,4 @@
-"""The owner's side: lets workers join, hands out rounds, and drops workers that fail."""
+"""The owner's side: accepts workers, hands out rounds, and drops workers that fail."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from typing import Callable, List, NamedTuple, Optional
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.distributed.link import OWNER, SILENCE, Link, LinkError, connect_store, serve_store
+from embodied_active_learning.distributed.link import (
+    LINK_TIMEOUT_FACTOR,
+    OWNER,
+    Link,
+    LinkError,
+    connect_store,
+    serve_store,
+)
 from embodied_active_learning.distributed.messages import (
     CONFIG,
     IDLE,
@@ -20,7 +27,7 @@ from embodied_active_learning.distributed.messages import (
     ROUND,
     TICKETS,
     Header,
-    empty_answer,
+    empty_response,
     ticket_name,
 )
 from embodied_active_learning.model.batches import ObservationSource
@@ -43,7 +50,7 @@ class WorkerStatus:
     bytes: int = 0
     updates_per_second: float = 0.0  # in the last round, transfers included
     lag: float = 0.0  # s, by which its last result came after the owner's own
-    seen: float = 0.0  # time.monotonic() of its last answer
+    seen: float = 0.0  # time.monotonic() of its last response
 
 
 @dataclass(frozen=True)
@@ -125,14 +132,14 @@ class Worker:
         return Result(int(made), self._weights)
 
     def _exchange(self, *message: torch.Tensor, result: Optional[List[torch.Tensor]] = None) -> float:
-        """Send a message, and return the number in the worker's answer."""
-        answer = empty_answer()
+        """Send a message, and return the number in the worker's response."""
+        response = empty_response()
         sent = self._link.send(*message)
         # Waited for first: it fails at once if the worker has ended, which Gloo does not report for a pending send.
-        self._link.receive(answer, *(result or [])).wait(self._timeout)
+        self._link.receive(response, *(result or [])).wait(self._timeout)
         sent.wait(self._timeout)
         self.status.bytes, self.status.seen = self._link.bytes, time.monotonic()
-        return float(answer)
+        return float(response)
 
 
 class WorkerPool:
@@ -161,7 +168,7 @@ class WorkerPool:
         self._busy: List[Worker] = []  # of the current round
         self._closed = False
         self._gathered = False
-        self._joins = threading.Thread(target=self._let_join, name="trainers", daemon=True)
+        self._joins = threading.Thread(target=self._accept_workers, name="trainers", daemon=True)
         self._joins.start()
 
     def make_round(
@@ -281,7 +288,7 @@ class WorkerPool:
         self._ready = [other for other in self._ready if other is not worker]
         self._changed.notify_all()
 
-    def _let_join(self) -> None:
+    def _accept_workers(self) -> None:
         admitted = 0
         while not self._closed:
             asked = self._store.add(TICKETS, 0)
@@ -301,7 +308,7 @@ class WorkerPool:
         with self._changed:
             taken = {worker.status.slot for worker in self._workers}
             slot = next(slot for slot in range(1, len(taken) + 2) if slot not in taken)
-            worker = Worker(link, slot, SILENCE * self._timeout)
+            worker = Worker(link, slot, LINK_TIMEOUT_FACTOR * self._timeout)
             self._workers.append(worker)
         try:
             while worker.send_observations(self._observations, len(self._observations)) and not self._closed:

@@ -12,14 +12,14 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.distributed.link import SILENCE, WORKER, Link, LinkError, connect_store
+from embodied_active_learning.distributed.link import LINK_TIMEOUT_FACTOR, WORKER, Link, LinkError, connect_store
 from embodied_active_learning.distributed.messages import (
     CONFIG,
     OBSERVATIONS,
     ROUND,
     TICKETS,
     Header,
-    empty_answer,
+    empty_response,
     ticket_name,
 )
 from embodied_active_learning.model.build import set_threads
@@ -68,7 +68,7 @@ class TrainerWorker:
         """Join an owner.
 
         Args:
-            owner: Where it lets workers join, as "host:port".
+            owner: Where it accepts workers, as "host:port".
             address: Of this computer, as the owner reaches it.
 
         Raises:
@@ -77,15 +77,15 @@ class TrainerWorker:
         """
         store = connect_store(owner)
         config = Config.from_dict(
-            json.loads(_ask(lambda: store.get(CONFIG))), f"configuration of the trainer at {owner}"
+            json.loads(_request(lambda: store.get(CONFIG))), f"configuration of the trainer at {owner}"
         )
         set_threads(config)
-        self._timeout = SILENCE * config.training.worker_timeout
+        self._timeout = LINK_TIMEOUT_FACTOR * config.training.worker_timeout
         self._store = MemoryStore(config)
         self._learner = Learner(config, self._store, config.exploration.seed)
         torch.set_num_threads(self._learner.loss.torch_threads)
-        # Last, because the owner then waits for answers.
-        self._link = Link(store, ticket_name(_ask(lambda: store.add(TICKETS, 1))), WORKER, address)
+        # Last, because the owner then waits for responses.
+        self._link = Link(store, ticket_name(_request(lambda: store.add(TICKETS, 1))), WORKER, address)
         self._weights = self._learner.weights()
         self._header = Header.empty()
         self.rounds = 0
@@ -105,14 +105,14 @@ class TrainerWorker:
 
     def _handle_message(self) -> None:
         self._link.receive(self._header).wait(self._timeout)
-        header, answer = Header.from_tensor(self._header), empty_answer()
+        header, response = Header.from_tensor(self._header), empty_response()
         if header.kind == OBSERVATIONS:
             self._store.receive(self._link, header.observations, self._timeout)
         if header.kind == ROUND:
-            answer[0] = self._train(header)
-            self._link.send(answer, self._weights).wait(self._timeout)
+            response[0] = self._train(header)
+            self._link.send(response, self._weights).wait(self._timeout)
         else:
-            self._link.send(answer).wait(self._timeout)
+            self._link.send(response).wait(self._timeout)
 
     def _train(self, header: Header) -> int:
         """Make this worker's updates of a round -> their number. The weights are then in self._weights."""
@@ -142,8 +142,8 @@ class TrainerWorker:
         return len(header.updates)
 
 
-def _ask(request: Callable[[], Any]) -> Any:
-    """Return the answer of the store. Raises LinkError if there is none."""
+def _request(request: Callable[[], Any]) -> Any:
+    """Return the response of the store. Raises LinkError if there is none."""
     try:
         return request()
     except RuntimeError as error:
