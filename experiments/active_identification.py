@@ -25,7 +25,7 @@ from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.pipeline.exploration import ExplorationRun
-from embodied_active_learning.pipeline.identification import FIRST_LOOK, next_look
+from embodied_active_learning.pipeline.identification import FIRST_EVALUATION, next_evaluation
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import World
 
@@ -111,7 +111,7 @@ def explore(
     states: List[np.ndarray] = []
     images: List[np.ndarray] = []
     decisions: List[Decision] = []
-    due = FIRST_LOOK
+    due = FIRST_EVALUATION
     with Simulation(world, config) as simulation:
         motion = ExplorationRun(config)
         while not search.decided and len(states) < most:
@@ -122,7 +122,7 @@ def explore(
             search.observe(states[-1][None], images[-1][None])
             if len(states) >= min(due, most):
                 decisions = search.decide(np.stack(states), np.stack(images))
-                due = next_look(len(states), search.open_count)
+                due = next_evaluation(len(states), search.open_count)
                 motion.set_open_places(search.open_places)
             command = motion.next_command()
             if isinstance(command, VelocityCommand):

@@ -216,7 +216,7 @@ def test_most_similar_fingerprint_wins_overlap():
     (winner,) = [item for item in of(decisions, "object-1") + of(decisions, "object-3") if item.found]
     (other,) = [item for item in of(decisions, "object-1") + of(decisions, "object-3") if not item.found]
     assert winner.residual <= other.residual
-    assert other.reason == f"{winner.fingerprint} fits better there"
+    assert other.reason == f"{winner.fingerprint} is more similar there"
 
 
 @pytest.mark.parametrize("pose", [(0.615, 0.14, 1.5), (0.33, -0.145, -0.7)])
@@ -311,7 +311,7 @@ def test_belief_decision_gives_overlap_to_higher_belief():
     winner, other = sorted(here, key=lambda item: -item.belief_mean)
     assert winner.belief_mean > other.belief_mean > 0.3
     assert (winner.found, other.found) == (True, False)
-    assert other.reason == f"{winner.fingerprint} fits better there"
+    assert other.reason == f"{winner.fingerprint} is more similar there"
 
 
 def test_belief_decision_needs_no_views():
@@ -455,7 +455,7 @@ def test_place_with_too_few_views_is_open():
     far = np.hypot(*(states[:, :2] - HERE[:2]).T) > SETTINGS.view_distance
     search = make_identification()
     red = search.decide(states[far], images[far])[0]
-    assert (red.outcome, red.reason) == (UNDECIDED, "a place where it may be has too few views: take more images")
+    assert (red.outcome, red.reason) == (UNDECIDED, "a candidate place has too few views: take more images")
     assert not search.decided
     assert np.hypot(*(search.open_places - HERE[:2]).T).min() < 0.02
 

@@ -3,18 +3,18 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from embodied_active_learning.pipeline.identification import FIRST_LOOK, next_look
+from embodied_active_learning.pipeline.identification import FIRST_EVALUATION, next_evaluation
 
 
-@given(st.integers(FIRST_LOOK, 5000), st.integers(0, 200))
+@given(st.integers(FIRST_EVALUATION, 5000), st.integers(0, 200))
 def test_next_evaluation_comes_later_the_more_is_undecided(images, undecided):
-    assert next_look(images, undecided) > images
-    assert next_look(images, undecided) >= images + undecided
-    assert next_look(images, undecided + 1) >= next_look(images, undecided)
+    assert next_evaluation(images, undecided) > images
+    assert next_evaluation(images, undecided) >= images + undecided
+    assert next_evaluation(images, undecided + 1) >= next_evaluation(images, undecided)
 
 
 def test_evaluations_become_rarer():
-    images, count = FIRST_LOOK, 0
+    images, count = FIRST_EVALUATION, 0
     while images < 2000:
-        images, count = next_look(images, 3), count + 1
+        images, count = next_evaluation(images, 3), count + 1
     assert count < 30

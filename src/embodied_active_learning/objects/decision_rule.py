@@ -117,7 +117,7 @@ class DecisionRule:
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
         clearly_below = -1.0 < value < _CLEARLY_BELOW * limits.miss
         if candidate.near < MIN_VIEWS and not clearly_below:
-            outcome, reason = UNDECIDED, unseen or "a place where it may be has too few views: take more images"
+            outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
         elif value >= limits.found:
             outcome = FOUND
             reason = f"similarity {value:.2f}, limit {limits.found:.2f}"
@@ -132,8 +132,8 @@ class DecisionRule:
         elif table_match > _MAX_TABLE_MATCH and not clearly_below:
             outcome = UNDECIDED
             reason = (
-                f"best similarity {value:.2f}, but {100 * table_match:.0f} % of the scene has its colours: use another "
-                "table"
+                f"best similarity {value:.2f}, but {100 * table_match:.0f} % of the scene has the object's colours: "
+                "use another table"
             )
         else:
             outcome = NOT_HERE
@@ -214,7 +214,7 @@ def _resolved(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]])
     winner: Optional[Decision] = next((won for other, won in winners if other is candidate), None)
     if winner is None or winner is candidate:
         return candidate
-    return replace(candidate, outcome=NOT_HERE, reason=f"{winner.fingerprint} fits better there")
+    return replace(candidate, outcome=NOT_HERE, reason=f"{winner.fingerprint} is more similar there")
 
 
 def _starts(target: SearchTarget, peak: Peak) -> np.ndarray:

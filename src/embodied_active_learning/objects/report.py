@@ -127,7 +127,7 @@ def _outcome(decision: Decision, truth: Truth) -> str:
     if not decision.found:
         return decision.outcome
     if truth.is_false_claim(decision):
-        return f"claimed, but really: {_at(decision.pose, truth.objects)}"
+        return f"false positive: {_at(decision.pose, truth.objects)}"
     return f"found, no. {decision.instance}"
 
 

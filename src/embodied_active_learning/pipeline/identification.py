@@ -26,7 +26,7 @@ from embodied_active_learning.session.session import Session
 
 _CHUNK = 64
 """Largest number of images processed by one call of `advance`."""
-FIRST_LOOK, _LOOK_GROWTH = 20, 1.2
+FIRST_EVALUATION, _EVALUATION_GROWTH = 20, 1.2
 """Images before the first evaluation of the decisions, and factor from one evaluation to the next."""
 
 
@@ -42,7 +42,7 @@ def check_results(session_path: Path, name: str, overwrite: bool) -> None:
         raise SessionError(f"results exist in {folder}: choose another name, or set overwrite")
 
 
-def next_look(images: int, undecided: int) -> int:
+def next_evaluation(images: int, undecided: int) -> int:
     """Return the number of images after which decisions are evaluated again.
 
     Evaluation takes about 0.1 s for each undecided fingerprint, less than the arm needs for as many images.
@@ -51,7 +51,7 @@ def next_look(images: int, undecided: int) -> int:
         images: Number of images at this evaluation.
         undecided: Number of fingerprints that it has left undecided.
     """
-    return max(images + max(undecided, 1), int(_LOOK_GROWTH * images))
+    return max(images + max(undecided, 1), int(_EVALUATION_GROWTH * images))
 
 
 class IdentificationRun:
@@ -97,7 +97,7 @@ class IdentificationRun:
         self.unknown: List[UnknownObject] = []
         """Unknown objects, as of the last call of `decide`."""
         self._sequential = settings.stop_when_decided and self.identification.by_views
-        self._next_look = FIRST_LOOK
+        self._next_evaluation = FIRST_EVALUATION
         self._store: ObservationStore = self._session.open_observations()
         self.images = images or len(self._store)
         if self.images < 1:
@@ -154,13 +154,13 @@ class IdentificationRun:
             self._store.refresh()
         limits = [self.processed + _CHUNK, self.images, len(self._store)]
         if self._sequential:
-            limits.append(self._next_look)
+            limits.append(self._next_evaluation)
         part = slice(self.processed, min(limits))
         states, images = self._store.raw_states[part], self._store.images[part]
         self.identification.observe(states, images)
-        if self._sequential and len(states) and self.processed >= self._next_look:
+        if self._sequential and len(states) and self.processed >= self._next_evaluation:
             self.identification.decide(self.states, self.pictures)
-            self._next_look = next_look(self.processed, self.identification.open_count)
+            self._next_evaluation = next_evaluation(self.processed, self.identification.open_count)
         return len(states)
 
     def decide(self) -> List[Decision]:
