@@ -5,7 +5,7 @@
     python3 experiments/trainers.py kills --kills 200
 
 `quality` repeats only the training: it hands over the observations of a session again. Rows are appended to
-experiments/trainers_quality.csv and trainers_kills.csv; quality skips rows that are there already.
+experiments/results/trainers/quality.csv and kills.csv; quality skips rows that are there already.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from embodied_active_learning.pipeline.learning import BackgroundTraining
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.session import Session
 
-FOLDER = Path(__file__).resolve().parent
+RESULTS = Path(__file__).resolve().parent / "results" / "trainers"
 QUALITY = ("trainers", "updates_per_round", "seed", "updates", "loss", "mse_own", "mse_none", "active_units", "objects",
            "seconds", "cpu_seconds", "computing")  # fmt: skip
 KILLS = ("seed", "kills", "freezes", "observations", "lost", "intact", "updates", "planned", "rows_in_order", "rounds",
@@ -120,7 +120,7 @@ def measure_quality(stored: Session, steps: int, trainers: int, updates_per_roun
 
 def quality(options: argparse.Namespace) -> None:
     """Measure all combinations that are not in the table yet."""
-    path, stored = options.output or FOLDER / "trainers_quality.csv", eal.load_session(options.session)
+    path, stored = options.output or RESULTS / "quality.csv", eal.load_session(options.session)
     done = {(row["trainers"], row["updates_per_round"], row["seed"]) for row in rows(path)}
     for seed in options.seeds:
         for trainers in options.trainers:
@@ -236,7 +236,7 @@ def measure_kills(seed: int, limit: int) -> Dict[str, Any]:
 
 def kills(options: argparse.Namespace) -> None:
     """Measure runs until the table has the wanted number of kills."""
-    path = options.output or FOLDER / "trainers_kills.csv"
+    path = options.output or RESULTS / "kills.csv"
     while sum(int(row["kills"]) for row in rows(path)) < options.kills:
         made = rows(path)
         append(path, KILLS, measure_kills(1 + len(made), options.kills - sum(int(row["kills"]) for row in made)))

@@ -5,7 +5,7 @@
 
 Each trainer runs in a network namespace of its own, and `tc` limits all links. Synchronous averaging is an all-reduce
 after each update (`--updates 0`), what DistributedDataParallel does without overlap. Rows are appended to
-experiments/trainers_network.csv. Batches are small: the time of transfers does not depend on them. Needs root.
+experiments/results/trainers/network.csv. Batches are small: the time of transfers does not depend on them. Needs root.
 """
 
 from __future__ import annotations
@@ -157,7 +157,9 @@ def main() -> None:
     parser.add_argument("--rates", nargs="+", type=int, default=[1000, 100], help="of the links, Mb/s")
     parser.add_argument("--updates", nargs="+", type=int, default=[0, 5, 25], help="per round; 0: synchronous")
     parser.add_argument("--count", type=int, default=4, help="rounds; the first is not measured")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".csv"))
+    parser.add_argument(
+        "--output", type=Path, default=Path(__file__).resolve().parent / "results" / "trainers" / "network.csv"
+    )
     parser.add_argument("--rank", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--root", help=argparse.SUPPRESS)
     options = parser.parse_args()
