@@ -1,4 +1,4 @@
-"""Where the camera looks at what an identification has found, and the view that is expected there."""
+"""Destinations of the visits after an identification, and the view expected at each."""
 
 from dataclasses import replace
 from types import SimpleNamespace

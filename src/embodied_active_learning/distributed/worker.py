@@ -143,7 +143,7 @@ class TrainerWorker:
 
 
 def _request(request: Callable[[], Any]) -> Any:
-    """Return the response of the store. Raises LinkError if there is none."""
+    """Return the response of the store. Raises LinkError if it does not respond."""
     try:
         return request()
     except RuntimeError as error:

@@ -22,7 +22,7 @@ def generations(session_path: Path) -> List[Path]:
 
 
 def newest_generation(session_path: Path) -> Path:
-    """Return the folder of a session's newest set. Raises SessionError if there is none."""
+    """Return the folder of a session's newest set. Raises SessionError if it has no fingerprints."""
     found = generations(session_path)
     if not found:
         raise SessionError(
