@@ -179,6 +179,7 @@ class FingerprintConfig:
     bandwidth: float = setting(0.045, "bandwidth of mean-shift clustering", "m", 0.005, 0.5)
     min_share: float = setting(0.05, "smallest share of the samples in a cluster that is an object", "", 0.0, 1.0)
     merge_distance: float = setting(0.05, "distance below which two centres are merged", "m", 0.0, 0.5)
+    prints: bool = setting(False, "whether things in the plane of the table, such as prints and cards, are objects")
     min_contrast: float = setting(
         1.2, "smallest ratio of largest to smallest predicted standard deviation with objects", "", 1.0, 100.0
     )

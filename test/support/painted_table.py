@@ -26,6 +26,7 @@ class Thing(NamedTuple):
     kind: int
     pose: Tuple[float, float, float]  # m, m, rad
     radius: float = 0.02  # m
+    height: float = 0.0  # m
 
 
 def seen_points(states, camera):
@@ -50,7 +51,10 @@ def _paint(states, things, camera, noise, random):
     images += noise * random.standard_normal(images.shape, np.float32)
     points = seen_points(states, camera)
     for thing in things:
-        _cover(images, points, thing, np.tile(thing.pose, (len(states), 1)))
+        scale = camera.distance / (camera.distance - thing.height)
+        poses = np.tile(thing.pose, (len(states), 1))
+        poses[:, :2] += (scale - 1.0) * (poses[:, :2] - states[:, :2])
+        _cover(images, points, thing._replace(radius=scale * thing.radius), poses)
     return np.clip(np.rint(images), 0, 255).astype(np.uint8)
 
 

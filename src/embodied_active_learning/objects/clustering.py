@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import List, Tuple
+from typing import List, Sequence, Tuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,6 +20,7 @@ from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.foreground_map import visible_things
+from embodied_active_learning.objects.relief import flat_places
 from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
@@ -71,7 +72,8 @@ class Clustering:
         flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
         clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
-        things: (N, 2) [m] centres of all visible things, whether or not the model has learned them.
+        prints: Clusters in the plane of the table, which are no objects unless `fingerprint/prints` is set.
+        things: (N, 2) [m] centres of all visible things but prints, whether or not the model has learned them.
         background: Colours of the table.
     """
 
@@ -79,6 +81,7 @@ class Clustering:
     flat: bool
     clusters: Tuple[Cluster, ...]
     unreachable: Tuple[Cluster, ...]
+    prints: Tuple[Cluster, ...]
     things: np.ndarray
     background: Background
 
@@ -94,7 +97,7 @@ def find_objects(
     The default, `table`, clusters table points of foreground pixels instead, which assumes more than the paper does: a
     camera that looks straight down from a known height with a known field of view, and a table whose colours are
     roughly Gaussian. Of these clusters only visible things are objects: a table's texture also has points that differ
-    from its colours, but no place where most do.
+    from its colours, but no place where most do. Prints, which lie in the plane of the table, are not: see relief.
 
     Args:
         model: The model of the session.
@@ -116,17 +119,20 @@ def find_objects(
     low, high = np.quantile(std, _CONTRAST_QUANTILES)
     contrast = float(high / low)
     background = _background(model, latents, states, images)
-    things = visible_things(states, images, background, config)
+    visible = visible_things(states, images, background, config)
+    things = visible if settings.prints else visible[~flat_places(visible, states, images, config.camera)]
     if contrast < settings.min_contrast:
-        return Clustering(contrast, True, (), (), things, background)
+        return Clustering(contrast, True, (), (), (), things, background)
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
         objects = _cluster(samples[:, :2], samples[:, 2], len(samples), settings, workspace)
+        prints: List[Cluster] = []
     else:
         points, yaws = _foreground_points(samples, states, images, background, config, random)
         clusters = _cluster(points, yaws, _PIXELS_PER_SAMPLE * len(samples), settings, workspace)
-        objects = [cluster for cluster in clusters if _is_near(things, cluster.centre, settings.merge_distance)]
+        seen = [cluster for cluster in clusters if _is_near(visible, cluster.centre, settings.merge_distance)]
+        objects, prints = _without_prints(seen, things, states, images, config)
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
     blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(
@@ -134,6 +140,7 @@ def find_objects(
         False,
         (*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
         tuple(cluster for cluster, within in zip(objects, reachable) if not within),
+        tuple(prints),
         things,
         background,
     )
@@ -208,6 +215,20 @@ def _cluster(
         if cluster.share >= settings.min_share and min(distances, default=math.inf) >= settings.merge_distance:
             kept.append(cluster)
     return kept
+
+
+def _without_prints(
+    clusters: Sequence[Cluster], things: np.ndarray, states: np.ndarray, images: np.ndarray, config: Config
+) -> Tuple[List[Cluster], List[Cluster]]:
+    """Separate the clusters of things (N, 2) from those in the plane of the table, unless `prints` is set."""
+    settings = config.fingerprint
+    if settings.prints or not clusters:
+        return list(clusters), []
+    centres = np.array([cluster.centre[:2] for cluster in clusters])
+    flat = flat_places(centres, states, images, config.camera)
+    standing = [not lies and _is_near(things, centre, settings.merge_distance) for lies, centre in zip(flat, centres)]
+    objects = [cluster for cluster, stands in zip(clusters, standing) if stands]
+    return objects, [cluster for cluster, stands in zip(clusters, standing) if not stands]
 
 
 def _is_near(things: np.ndarray, centre: np.ndarray, distance: float) -> bool:

@@ -87,8 +87,10 @@ class FingerprintRun:
                 "(fingerprint/min_contrast); train longer, or put objects on the table"
             )
         objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
-        unreachable = len(clustering.unreachable)
+        unreachable, prints = len(clustering.unreachable), len(clustering.prints)
         skipped = f"; skipped {unreachable} more that the camera cannot reach" if unreachable else ""
+        if prints:
+            skipped += f"; skipped {prints} in the plane of the table (to keep them: fingerprint/prints)"
         return f"{objects} objects and a blank region: {contrast}{skipped}"
 
     def require_complete(self, name: str) -> None:

@@ -1,0 +1,120 @@
+"""Relief: whether something stands on the table, or lies in its plane like a print, from the parallax between images.
+
+Plane sweep: the surroundings of a place are rectified to planes at several heights above the table. What is at a height
+looks the same in all images rectified to that height, and moves between those rectified to another one. This needs no
+colours of the table and works in any light, but assumes what rectification assumes: a camera that looks straight down
+from a known height, and camera states that fit the images.
+"""
+
+from __future__ import annotations
+
+from typing import List, NamedTuple
+
+import cv2
+import numpy as np
+
+from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.geometry import pixels_of
+from embodied_active_learning.images import spread_indices
+from embodied_active_learning.objects.colours import blurred
+
+_HEIGHTS = (0.0, 0.004, 0.008, 0.012, 0.016, 0.021, 0.028, 0.036, 0.046, 0.06)
+"""Heights of the planes [m]."""
+_MIN_HEIGHT = 0.006
+"""Height from which a part of the surroundings is raised [m]: below, pixels hardly move between images."""
+_RADIUS, _PIXEL = 0.033, 0.003
+"""Half a side of the rectified surroundings, and their pixels [m]."""
+_IMAGES, _MIN_IMAGES = 24, 10
+"""Images that are compared: at most, and at least."""
+_REACH = 0.055
+"""Largest distance, in x and in y, between a place and the camera of an image that shows its surroundings [m]."""
+_MIN_SEEN = 5
+"""Images that must show a pixel."""
+_SMOOTHING = 3
+"""Side of the window, in pixels, over which differences are averaged."""
+_MAX_DIFFERENCE = 60.0
+"""Limit of the difference of a pixel, summed over the channels [grey levels]: highlights have little weight."""
+_RATIO, _NOISE = 1.5, 2.0
+"""A part is raised if its differences in the table's plane exceed those at its height by this ratio, plus noise."""
+_MIN_AREA = 1e-4
+"""Raised area of something that stands on the table [m^2]."""
+_EXPLAINED = 0.1
+"""Largest difference in the table's plane, relative to the contrast, of a thing that lies in it."""
+
+
+class Relief(NamedTuple):
+    """The surroundings of a place.
+
+    Attributes:
+        area: Area that is raised above the table [m^2].
+        height: Median height of that area [m]; 0 without one.
+        difference: Mean absolute difference between the images, rectified to the table's plane, and their median,
+            relative to the contrast of the median.
+    """
+
+    area: float
+    height: float
+    difference: float
+
+    @property
+    def flat(self) -> bool:
+        """Whether the surroundings lie in the plane of the table; false if the images do not fit each other so well."""
+        return self.area < _MIN_AREA and self.difference < _EXPLAINED
+
+
+def flat_places(places: np.ndarray, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> np.ndarray:
+    """Return at which places (K, 2) [m] everything lies in the plane of the table; false where too few images show it.
+
+    Args:
+        places: x and y in the base frame.
+        states: (N, 3) x [m], y [m], theta [rad] of the images.
+        images: (N, H, W, 3) uint8.
+        camera: The camera of the images.
+    """
+    flat: List[bool] = []
+    for place in places:
+        near = np.flatnonzero(np.abs(states[:, :2] - place).max(axis=1) < _REACH)
+        chosen = near[spread_indices(len(near), _IMAGES)]
+        flat.append(len(chosen) >= _MIN_IMAGES and relief(place, states[chosen], images[chosen], camera).flat)
+    return np.array(flat, dtype=bool)
+
+
+def relief(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> Relief:
+    """Measure the relief of the surroundings of a place (2,) [m] from images (N, H, W, 3) that show them."""
+    axis = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
+    points = place + np.stack(np.meshgrid(axis, axis), axis=-1)
+    smooth = [blurred(image, camera) for image in images]
+    differences = np.empty((len(_HEIGHTS), len(axis), len(axis)))
+    contrast = 0.0
+    for index, height in enumerate(_HEIGHTS):
+        rectified = np.stack([_rectified(image, state, points, height, camera) for image, state in zip(smooth, states)])
+        rectified[:, np.isfinite(rectified[..., 0]).sum(axis=0) < _MIN_SEEN] = 0.0
+        median = np.nanmedian(rectified, axis=0)
+        change = np.minimum(np.abs(rectified - median).sum(axis=-1), _MAX_DIFFERENCE)
+        differences[index] = cv2.blur(np.nanmean(change, axis=0), (_SMOOTHING, _SMOOTHING))
+        if index == 0:
+            contrast = float(np.abs(median - np.median(median, axis=(0, 1))).sum(axis=-1).mean())
+    heights = np.array(_HEIGHTS)[differences.argmin(axis=0)]
+    clear = differences[0] + _NOISE > _RATIO * (differences.min(axis=0) + _NOISE)
+    raised = clear & (heights > _MIN_HEIGHT)
+    return Relief(
+        area=float(raised.sum()) * _PIXEL**2,
+        height=float(np.median(heights[raised])) if raised.any() else 0.0,
+        difference=float(differences[0].mean()) / max(contrast, 1.0),
+    )
+
+
+def _rectified(
+    image: np.ndarray, state: np.ndarray, points: np.ndarray, height: float, camera: CameraConfig
+) -> np.ndarray:
+    """Colours (S, S, 3) float32 of points (S, S, 2) at a height in an image from a state (3,); NaN out of view."""
+    on_table = state[:2] + (points - state[:2]) * (camera.distance / (camera.distance - height))
+    rows, columns = pixels_of(state, on_table, camera)
+    return cv2.remap(
+        image.astype(np.float32),
+        columns.astype(np.float32),
+        rows.astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(np.nan, np.nan, np.nan, 0.0),
+    )

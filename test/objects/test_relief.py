@@ -1,0 +1,57 @@
+"""Relief of painted discs, with and without height above the table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.objects.relief import flat_places, relief
+from painted_table import Thing, paint, random_states
+
+CONFIG = Config.from_dict({"camera": {"width": 90, "height": 90}})
+PLACE = np.array([0.47, 0.02])
+
+
+def near_states(count, seed=0):
+    around = np.array([*PLACE, 0.0])
+    return around + np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 3)) * (0.05, 0.05, 2.0)
+
+
+def measured(height, noise=3.0, brightness=1.0, count=24):
+    states = near_states(count)
+    images = paint(states, [Thing(0, (*PLACE, 0.4), height=height)], CONFIG.camera, noise)
+    return relief(PLACE, states, (brightness * images).astype(np.uint8), CONFIG.camera)
+
+
+def test_print_is_flat():
+    assert measured(0.0).flat
+
+
+@settings(max_examples=15, deadline=None)
+@given(height=st.floats(0.01, 0.05), brightness=st.floats(0.5, 1.0))
+def test_standing_disc_is_raised_in_any_light(height, brightness):
+    found = measured(height, brightness=brightness)
+    assert not found.flat
+    assert found.area > 3e-4
+    assert found.height == pytest.approx(height, abs=0.008)
+
+
+def test_wrong_states_do_not_make_things_flat():
+    """The images then fit neither the plane of the table nor another one, so nothing is known."""
+    states = near_states(24)
+    images = paint(states, [Thing(0, (*PLACE, 0.4))], CONFIG.camera)
+    wrong = states + np.random.default_rng(1).normal(0.0, (0.006, 0.006, 0.05), states.shape)
+    assert not relief(PLACE, wrong, images, CONFIG.camera).flat
+
+
+def test_places_seen_in_few_images_are_not_flat():
+    things = [Thing(0, (*PLACE, 0.4)), Thing(1, (0.58, -0.1, 0.0), height=0.03)]
+    states = random_states(CONFIG.workspace.box(), 300)
+    images = paint(states, things, CONFIG.camera)
+    places = np.array([thing.pose[:2] for thing in things])
+    assert flat_places(places, states, images, CONFIG.camera).tolist() == [True, False]
+    assert flat_places(places, states[:20], images[:20], CONFIG.camera).tolist() == [False, False]
+    assert flat_places(places, states[:0], images[:0], CONFIG.camera).tolist() == [False, False]
