@@ -11,9 +11,11 @@ from embodied_active_learning.objects.limits import Calibration
 NINETEEN = np.linspace(0.0, 0.9, 19)
 
 
-@pytest.mark.parametrize(("error_rate", "miss", "look_alike"), [(0.05, 0.0, 0.9), (0.25, 0.2, 0.7), (0.04, -1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("error_rate", "miss", "look_alike"), [(0.05, 0.0, 0.75), (0.25, 0.2, 0.45), (0.01, -1.0, 0.9)]
+)
 def test_limits_are_conformal_quantiles(error_rate, miss, look_alike):
-    """With 19 similarities, a rate of 0.05 takes the extreme one, and a smaller rate cannot be guaranteed."""
+    """With 19 similarities, a rate of 0.05 takes the smallest one, and a smaller rate cannot be guaranteed."""
     limits = Calibration(NINETEEN, NINETEEN).limits(error_rate)
     assert limits == pytest.approx((miss, look_alike))
     assert limits.found == max(limits)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.objects.relief import flat_places, relief
-from painted_table import Thing, paint, random_states
+from embodied_active_learning.objects.relief import relief_at
+from painted_table import Thing, paint
 
 CONFIG = Config.from_dict({"camera": {"width": 90, "height": 90}})
 PLACE = np.array([0.47, 0.02])
@@ -23,7 +23,7 @@ def near_states(count, seed=0):
 def measured(height, noise=3.0, brightness=1.0, count=24):
     states = near_states(count)
     images = paint(states, [Thing(0, (*PLACE, 0.4), height=height)], CONFIG.camera, noise)
-    return relief(PLACE, states, (brightness * images).astype(np.uint8), CONFIG.camera)
+    return relief_at(PLACE, states, (brightness * images).astype(np.uint8), CONFIG.camera)
 
 
 def test_print_is_flat():
@@ -44,14 +44,13 @@ def test_wrong_states_do_not_make_things_flat():
     states = near_states(24)
     images = paint(states, [Thing(0, (*PLACE, 0.4))], CONFIG.camera)
     wrong = states + np.random.default_rng(1).normal(0.0, (0.006, 0.006, 0.05), states.shape)
-    assert not relief(PLACE, wrong, images, CONFIG.camera).flat
+    assert not relief_at(PLACE, wrong, images, CONFIG.camera).flat
 
 
-def test_places_seen_in_few_images_are_not_flat():
-    things = [Thing(0, (*PLACE, 0.4)), Thing(1, (0.58, -0.1, 0.0), height=0.03)]
-    states = random_states(CONFIG.workspace.box(), 300)
-    images = paint(states, things, CONFIG.camera)
-    places = np.array([thing.pose[:2] for thing in things])
-    assert flat_places(places, states, images, CONFIG.camera).tolist() == [True, False]
-    assert flat_places(places, states[:20], images[:20], CONFIG.camera).tolist() == [False, False]
-    assert flat_places(places, states[:0], images[:0], CONFIG.camera).tolist() == [False, False]
+def test_relief_needs_ten_images_of_the_place():
+    states = np.concatenate([near_states(9), near_states(20) + np.array([0.1, 0.1, 0.0])])
+    images = paint(states, [Thing(0, (*PLACE, 0.4))], CONFIG.camera)
+    assert relief_at(PLACE, states, images, CONFIG.camera) is None
+    assert relief_at(PLACE, states[:0], images[:0], CONFIG.camera) is None
+    one_more = np.concatenate([states, near_states(1, seed=1)])
+    assert relief_at(PLACE, one_more, paint(one_more, [], CONFIG.camera), CONFIG.camera) is not None

@@ -20,7 +20,7 @@ from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.foreground_map import visible_things
-from embodied_active_learning.objects.relief import flat_places
+from embodied_active_learning.objects.relief import relief_at
 from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
@@ -120,7 +120,7 @@ def find_objects(
     contrast = float(high / low)
     background = _background(model, latents, states, images)
     visible = visible_things(states, images, background, config)
-    things = visible if settings.prints else visible[~flat_places(visible, states, images, config.camera)]
+    things = visible if settings.prints else visible[~_lies_flat(visible, states, images, config)]
     if contrast < settings.min_contrast:
         return Clustering(contrast, True, (), (), (), things, background)
     weights = (std / std.max()) ** settings.exponent
@@ -225,10 +225,16 @@ def _without_prints(
     if settings.prints or not clusters:
         return list(clusters), []
     centres = np.array([cluster.centre[:2] for cluster in clusters])
-    flat = flat_places(centres, states, images, config.camera)
+    flat = _lies_flat(centres, states, images, config)
     standing = [not lies and _is_near(things, centre, settings.merge_distance) for lies, centre in zip(flat, centres)]
     objects = [cluster for cluster, stands in zip(clusters, standing) if stands]
     return objects, [cluster for cluster, stands in zip(clusters, standing) if not stands]
+
+
+def _lies_flat(places: np.ndarray, states: np.ndarray, images: np.ndarray, config: Config) -> np.ndarray:
+    """Return at which places (K, 2) everything lies in the plane of the table; false where too few images show it."""
+    reliefs = [relief_at(place, states, images, config.camera) for place in places]
+    return np.array([relief is not None and relief.flat for relief in reliefs], dtype=bool)
 
 
 def _is_near(things: np.ndarray, centre: np.ndarray, distance: float) -> bool:

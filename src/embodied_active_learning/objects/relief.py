@@ -8,7 +8,7 @@ from a known height, and camera states that fit the images.
 
 from __future__ import annotations
 
-from typing import List, NamedTuple
+from typing import NamedTuple, Optional
 
 import cv2
 import numpy as np
@@ -47,7 +47,7 @@ class Relief(NamedTuple):
 
     Attributes:
         area: Area that is raised above the table [m^2].
-        height: Median height of that area [m]; 0 without one.
+        height: Mean height of that area [m]; 0 without one.
         difference: Mean absolute difference between the images, rectified to the table's plane, and their median,
             relative to the contrast of the median.
     """
@@ -62,32 +62,27 @@ class Relief(NamedTuple):
         return self.area < _MIN_AREA and self.difference < _EXPLAINED
 
 
-def flat_places(places: np.ndarray, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> np.ndarray:
-    """Return at which places (K, 2) [m] everything lies in the plane of the table; false where too few images show it.
+def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> Optional[Relief]:
+    """Measure the relief of the surroundings of a place; None where too few images show them.
 
     Args:
-        places: x and y in the base frame.
+        place: (2,) x [m], y [m] in the base frame.
         states: (N, 3) x [m], y [m], theta [rad] of the images.
         images: (N, H, W, 3) uint8.
         camera: The camera of the images.
     """
-    flat: List[bool] = []
-    for place in places:
-        near = np.flatnonzero(np.abs(states[:, :2] - place).max(axis=1) < _REACH)
-        chosen = near[spread_indices(len(near), _IMAGES)]
-        flat.append(len(chosen) >= _MIN_IMAGES and relief(place, states[chosen], images[chosen], camera).flat)
-    return np.array(flat, dtype=bool)
-
-
-def relief(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> Relief:
-    """Measure the relief of the surroundings of a place (2,) [m] from images (N, H, W, 3) that show them."""
+    near = np.flatnonzero(np.abs(states[:, :2] - place).max(axis=1) < _REACH)
+    chosen = near[spread_indices(len(near), _IMAGES)]
+    if len(chosen) < _MIN_IMAGES:
+        return None
     axis = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
     points = place + np.stack(np.meshgrid(axis, axis), axis=-1)
-    smooth = [blurred(image, camera) for image in images]
+    smooth = [blurred(images[index], camera) for index in chosen]
     differences = np.empty((len(_HEIGHTS), len(axis), len(axis)))
     contrast = 0.0
     for index, height in enumerate(_HEIGHTS):
-        rectified = np.stack([_rectified(image, state, points, height, camera) for image, state in zip(smooth, states)])
+        parts = [_rectified(image, state, points, height, camera) for image, state in zip(smooth, states[chosen])]
+        rectified = np.stack(parts)
         rectified[:, np.isfinite(rectified[..., 0]).sum(axis=0) < _MIN_SEEN] = 0.0
         median = np.nanmedian(rectified, axis=0)
         change = np.minimum(np.abs(rectified - median).sum(axis=-1), _MAX_DIFFERENCE)
@@ -99,7 +94,7 @@ def relief(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera: Ca
     raised = clear & (heights > _MIN_HEIGHT)
     return Relief(
         area=float(raised.sum()) * _PIXEL**2,
-        height=float(np.median(heights[raised])) if raised.any() else 0.0,
+        height=float(heights[raised].mean()) if raised.any() else 0.0,
         difference=float(differences[0].mean()) / max(contrast, 1.0),
     )
 
