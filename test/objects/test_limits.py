@@ -12,7 +12,7 @@ NINETEEN = np.linspace(0.0, 0.9, 19)
 
 
 @pytest.mark.parametrize(
-    ("error_rate", "miss", "look_alike"), [(0.05, 0.0, 0.75), (0.25, 0.2, 0.45), (0.01, -1.0, 0.9)]
+    ("error_rate", "miss", "look_alike"), [(0.05, 0.0, 0.75), (0.25, 0.2, 0.45), (0.01, -1.0, 1.0)]
 )
 def test_limits_are_conformal_quantiles(error_rate, miss, look_alike):
     """With 19 similarities, a rate of 0.05 takes the smallest one, and a smaller rate cannot be guaranteed."""

@@ -47,10 +47,17 @@ def test_wrong_states_do_not_make_things_flat():
     assert not relief_at(PLACE, wrong, images, CONFIG.camera).flat
 
 
-def test_relief_needs_ten_images_of_the_place():
-    states = np.concatenate([near_states(9), near_states(20) + np.array([0.1, 0.1, 0.0])])
+def test_relief_needs_eight_images_of_the_place():
+    states = np.concatenate([near_states(7), near_states(20) + np.array([0.1, 0.1, 0.0])])
     images = paint(states, [Thing(0, (*PLACE, 0.4))], CONFIG.camera)
     assert relief_at(PLACE, states, images, CONFIG.camera) is None
     assert relief_at(PLACE, states[:0], images[:0], CONFIG.camera) is None
     one_more = np.concatenate([states, near_states(1, seed=1)])
     assert relief_at(PLACE, one_more, paint(one_more, [], CONFIG.camera), CONFIG.camera) is not None
+
+
+def test_relief_needs_images_from_different_places():
+    """From one place, what has a height looks like a print."""
+    states = near_states(24) * (0.1, 0.1, 1.0) + 0.9 * np.array([*PLACE, 0.0])
+    images = paint(states, [Thing(0, (*PLACE, 0.4), height=0.03)], CONFIG.camera)
+    assert relief_at(PLACE, states, images, CONFIG.camera) is None

@@ -24,8 +24,10 @@ _MIN_HEIGHT = 0.006
 """Height from which a part of the surroundings is raised [m]: below, pixels hardly move between images."""
 _RADIUS, _PIXEL = 0.033, 0.003
 """Half a side of the rectified surroundings, and their pixels [m]."""
-_IMAGES, _MIN_IMAGES = 24, 10
+_IMAGES, _MIN_IMAGES = 24, 8
 """Images that are compared: at most, and at least."""
+_MIN_SPREAD = 0.015
+"""Standard deviation of the camera's positions [m] below which things with a height may look flat."""
 _REACH = 0.055
 """Largest distance, in x and in y, between a place and the camera of an image that shows its surroundings [m]."""
 _MIN_SEEN = 5
@@ -63,7 +65,7 @@ class Relief(NamedTuple):
 
 
 def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> Optional[Relief]:
-    """Measure the relief of the surroundings of a place; None where too few images show them.
+    """Measure the relief of the surroundings of a place; None where too few images from different places show them.
 
     Args:
         place: (2,) x [m], y [m] in the base frame.
@@ -73,7 +75,7 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
     """
     near = np.flatnonzero(np.abs(states[:, :2] - place).max(axis=1) < _REACH)
     chosen = near[spread_indices(len(near), _IMAGES)]
-    if len(chosen) < _MIN_IMAGES:
+    if len(chosen) < _MIN_IMAGES or np.hypot(*states[chosen, :2].std(axis=0)) < _MIN_SPREAD:
         return None
     axis = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
     points = place + np.stack(np.meshgrid(axis, axis), axis=-1)
