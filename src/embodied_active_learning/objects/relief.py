@@ -85,10 +85,12 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
     for index, height in enumerate(_HEIGHTS):
         parts = [_rectified(image, state, points, height, camera) for image, state in zip(smooth, states[chosen])]
         rectified = np.stack(parts)
-        rectified[:, np.isfinite(rectified[..., 0]).sum(axis=0) < _MIN_SEEN] = 0.0
+        unseen = np.isfinite(rectified[..., 0]).sum(axis=0) < _MIN_SEEN
+        rectified[:, unseen] = 0.0
         median = np.nanmedian(rectified, axis=0)
-        change = np.minimum(np.abs(rectified - median).sum(axis=-1), _MAX_DIFFERENCE)
-        differences[index] = cv2.blur(np.nanmean(change, axis=0), (_SMOOTHING, _SMOOTHING))
+        change = np.nanmean(np.minimum(np.abs(rectified - median).sum(axis=-1), _MAX_DIFFERENCE), axis=0)
+        change[unseen] = _MAX_DIFFERENCE if height else 0.0  # what is not seen at a height is not raised to it
+        differences[index] = cv2.blur(change, (_SMOOTHING, _SMOOTHING))
         if index == 0:
             contrast = float(np.abs(median - np.median(median, axis=(0, 1))).sum(axis=-1).mean())
     heights = np.array(_HEIGHTS)[differences.argmin(axis=0)]
