@@ -36,10 +36,7 @@ from embodied_active_learning.simulation.truth import true_objects
 
 SHOWN = (300, 600, 1000, 3000)  # steps after which objects are shown
 KINDS = 6  # procedural objects to draw from, beside the shipped ones
-CHECKS = (
-    "world steps objects undiscovered unlearned drift stable_checks learned_checks contrast latent_contribution "
-    "coverage stopped"
-)
+CHECKS = "world steps objects undiscovered drift stable_checks contrast latent_contribution coverage stopped"
 OBJECTS = "world rule steps true found matched right error_cm"
 
 

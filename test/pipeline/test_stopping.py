@@ -27,7 +27,7 @@ def find(monkeypatch, centres):
     """Let every check find objects at these centres (K, 2)."""
 
     def measure(config, model, evaluation, coverage, stored):
-        return Measurement(evaluation.update, evaluation.observations, centres, 0, 0, 5.0, 0.9, 0.9)
+        return Measurement(evaluation.update, evaluation.observations, centres, 0, 5.0, 0.9, 0.9)
 
     monkeypatch.setattr(stopping, "measure", measure)
 
@@ -36,7 +36,6 @@ def stable(root, **session):
     return Config.from_dict({**configured(root, **session).to_dict(), "exploration": {**EXPLORATION, "stop": "stable"}})
 
 
-NO_COUNT = {"steps": None, "centres": []}
 EXPLORATION = configured("").to_dict()["exploration"]
 
 
@@ -88,7 +87,9 @@ def test_ended_run_continues_with_fixed_steps(tmp_path):
     assert finish(TrainingRun(configured(tmp_path, resume=True))) == STEPS
 
 
-@pytest.mark.parametrize("state", [{}, 3, {"steps": "x", "centres": []}, {"steps": None, "centres": [[1.0]]}, NO_COUNT])
+@pytest.mark.parametrize(
+    "state", [{}, 3, {"steps": "x", "centres": []}, {"steps": None, "centres": [[1.0]]}, {"steps": None}]
+)
 def test_invalid_state_is_refused(state):
     early_stop = stopping.EarlyStop(Config())
     with pytest.raises(CorruptFileError, match="stopping criterion"):

@@ -27,7 +27,7 @@ _SHARES: Tuple[Tuple[str, float, str], ...] = (
     ("latent_contribution", USEFUL, "contribution of\nthe latent"),
     ("coverage", MIN_COVERAGE, "coverage"),
 )
-_COUNTS = ("objects", "clusters"), ("undiscovered", "visible, not clustered"), ("unlearned", "not reproduced either")
+_COUNTS = ("objects", "clusters"), ("undiscovered", "visible, not clustered")
 
 
 @default_style

@@ -13,8 +13,7 @@ UNUSED, USEFUL = 0.2, 0.5
 """Latent contribution below which the latent is not used, and from which on it is useful."""
 ENOUGH_UPDATES = 1000
 """Updates after which a latent that is not used yet rarely becomes useful."""
-OBJECTS_STABLE, THINGS_LEARNED = "objects stable", "visible things learned"
-NOTHING_TO_LEARN = "nothing to learn"
+OBJECTS_STABLE, NOTHING_TO_LEARN = "objects stable", "nothing to learn"
 """Why the stopping criterion ends a run."""
 HIGH_ERGODIC_MEASURE = 0.2
 """[nat] Runs of the ergodic explorer end between 0.03 and 0.1."""

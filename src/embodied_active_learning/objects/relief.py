@@ -22,8 +22,8 @@ _HEIGHTS = (0.0, 0.004, 0.008, 0.012, 0.016, 0.021, 0.028, 0.036, 0.046, 0.06)
 """Heights of the planes [m]."""
 _MIN_HEIGHT = 0.006
 """Height from which a part of the surroundings is raised [m]: below, pixels hardly move between images."""
-_RADIUS, _PIXEL = 0.033, 0.003
-"""Half a side of the rectified surroundings, and their pixels [m]."""
+_RADIUS, _PIXEL = 0.027, 0.003
+"""Radius of the surroundings, and pixels of their rectified images [m]. Beyond, a neighbour may stand."""
 _IMAGES, _MIN_IMAGES = 24, 8
 """Images that are compared: at most, and at least."""
 _MIN_SPREAD = 0.015
@@ -95,7 +95,7 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
             contrast = float(np.abs(median - np.median(median, axis=(0, 1))).sum(axis=-1).mean())
     heights = np.array(_HEIGHTS)[differences.argmin(axis=0)]
     clear = differences[0] + _NOISE > _RATIO * (differences.min(axis=0) + _NOISE)
-    raised = clear & (heights > _MIN_HEIGHT)
+    raised = clear & (heights > _MIN_HEIGHT) & (np.hypot(axis, axis[:, np.newaxis]) < _RADIUS)
     return Relief(
         area=float(raised.sum()) * _PIXEL**2,
         height=float(heights[raised].mean()) if raised.any() else 0.0,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Deque, Dict, Mapping
@@ -11,14 +10,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, THINGS_LEARNED, USEFUL
+from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, USEFUL
 
 STABLE_CHECKS = 4
 """Successive checks that must find the same objects."""
 EMPTY_CHECKS = 6
 """Successive checks that must find no object before there is nothing to learn: objects appear late on some tables."""
-LEARNED_CHECKS = 8
-"""Successive checks in which the model must reproduce every visible thing, if its clusters are not stable."""
 MAX_DRIFT = 0.01  # m
 """Distance by which the centre of a stable object may differ between these checks."""
 MIN_COVERAGE = 0.6
@@ -34,7 +31,6 @@ class Measurement:
         observations: Number of observations that the model has learned from.
         centres: (K, 2) clusters of the conditional entropy [m], without the blank region.
         undiscovered: Number of visible things that no cluster explains.
-        unlearned: Number of these that the model does not reproduce: less than half of what sets them off the table.
         contrast: Largest over smallest predicted standard deviation.
         latent_contribution: Share of the reconstruction error that the latent removes.
         coverage: Workspace coverage k.
@@ -44,7 +40,6 @@ class Measurement:
     observations: int
     centres: np.ndarray
     undiscovered: int
-    unlearned: int
     contrast: float
     latent_contribution: float
     coverage: float
@@ -58,7 +53,6 @@ class StopCheck:
         drifts: (K,) distance of each centre from that of the previous check [m]; NaN if their number has changed.
         drift: The largest of them, 0 without objects.
         stable_checks: Number of successive checks, including this one, that found the same objects.
-        learned_checks: Number of successive checks, including this one, of a useful model with nothing unlearned.
         stopped: Whether the run may end.
 
     The others are those of the measurement.
@@ -68,11 +62,9 @@ class StopCheck:
     observations: int
     centres: np.ndarray
     undiscovered: int
-    unlearned: int
     drifts: np.ndarray
     drift: float
     stable_checks: int
-    learned_checks: int
     contrast: float
     latent_contribution: float
     coverage: float
@@ -91,17 +83,16 @@ class StopCheck:
 
     @property
     def reason(self) -> str:
-        """Why the run ends: OBJECTS_STABLE, THINGS_LEARNED or NOTHING_TO_LEARN; empty if it does not."""
-        return reason_to_end(self.objects, self.undiscovered, self.stable_checks) if self.stopped else ""
+        """Why the run ends: OBJECTS_STABLE or NOTHING_TO_LEARN; empty if it does not."""
+        return reason_to_end(self.objects) if self.stopped else ""
 
     def describe(self) -> str:
         """Return each part with what it needs, for a progress line."""
         needed = STABLE_CHECKS if self.objects else EMPTY_CHECKS
         drift = "" if np.isnan(self.drift) or not self.objects else f", drift {100.0 * self.drift:.1f} cm"
         latent = f"  latent {100.0 * self.latent_contribution:.0f}/{100.0 * USEFUL:.0f} %" if self.objects else ""
-        things = f"undiscovered {self.undiscovered}, all learned for {self.learned_checks}/{LEARNED_CHECKS} checks"
         return (
-            f"objects {self.objects} for {self.stable_checks}/{needed} checks{drift}  {things}"
+            f"objects {self.objects} for {self.stable_checks}/{needed} checks{drift}  undiscovered {self.undiscovered}"
             f"{latent}  coverage {self.coverage:.2f}/{MIN_COVERAGE:g}"
         )
 
@@ -113,13 +104,9 @@ class StoppingCriterion:
     the latent removes at least half of the reconstruction error, and the workspace is covered. Stable clusters alone
     are not enough: they can be those of the first objects found. Without objects and visible things there is nothing
     to learn, and the latent need not contribute.
-
-    Prints on a table are visible things whose clusters come and go. A run may therefore also end if the model has
-    reproduced all visible things, clusters or not, for twice as long.
     """
 
     def __init__(self) -> None:
-        self._learned_checks = 0
         self._centres: Deque[np.ndarray] = deque(maxlen=max(STABLE_CHECKS, EMPTY_CHECKS))
 
     def add(self, measured: Measurement) -> StopCheck:
@@ -131,38 +118,33 @@ class StoppingCriterion:
         agreeing = self._agreeing()
         enough = STABLE_CHECKS if objects else EMPTY_CHECKS
         useful = measured.latent_contribution >= USEFUL
-        self._learned_checks = self._learned_checks + 1 if useful and not measured.unlearned else 0
         stable = agreeing >= enough and (useful or not objects) and not measured.undiscovered
         return StopCheck(
             update=measured.update,
             observations=measured.observations,
             centres=centres,
             undiscovered=measured.undiscovered,
-            unlearned=measured.unlearned,
             drifts=drifts,
             drift=drift,
             stable_checks=agreeing,
-            learned_checks=self._learned_checks,
             contrast=measured.contrast,
             latent_contribution=measured.latent_contribution,
             coverage=measured.coverage,
-            stopped=bool((stable or self._learned_checks >= LEARNED_CHECKS) and measured.coverage >= MIN_COVERAGE),
+            stopped=bool(stable and measured.coverage >= MIN_COVERAGE),
         )
 
     def state_dict(self) -> Dict[str, Any]:
         """Return what is known from the last checks as plain data."""
-        return {"centres": [centres.tolist() for centres in self._centres], "learned_checks": self._learned_checks}
+        return {"centres": [centres.tolist() for centres in self._centres]}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore state_dict(). Raises CorruptFileError."""
         try:
             restored = [_points(centres) for centres in state["centres"]]
-            learned_checks = operator.index(state["learned_checks"])
         except (KeyError, TypeError, ValueError) as error:
             raise CorruptFileError(f"invalid state of the stopping criterion: {error!r}") from error
         self._centres.clear()
         self._centres.extend(restored)
-        self._learned_checks = learned_checks
 
     def _agreeing(self) -> int:
         """Number of last checks, one after the other, whose objects are those of the newest."""
@@ -197,8 +179,6 @@ def unexplained(things: np.ndarray, centres: np.ndarray, distance: float) -> np.
     return things[distances.min(axis=1, initial=np.inf) > distance]
 
 
-def reason_to_end(objects: int, undiscovered: int, stable_checks: int) -> str:
-    """Return why a run ends at a check with these numbers of a StopCheck."""
-    if undiscovered or (objects and stable_checks < STABLE_CHECKS):
-        return THINGS_LEARNED
+def reason_to_end(objects: int) -> str:
+    """Return why a run ends at a check with this number of objects."""
     return OBJECTS_STABLE if objects else NOTHING_TO_LEARN

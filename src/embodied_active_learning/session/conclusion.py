@@ -60,10 +60,7 @@ def _reason_to_end(session: Session) -> str:
     if not session.config.may_stop_early:
         return ""
     table = session.read_table("stopping")
-    if not table["stopped"][-1:].any():
-        return ""
-    objects, undiscovered, stable = (int(table[name][-1]) for name in ("objects", "undiscovered", "stable_checks"))
-    return reason_to_end(objects, undiscovered, stable)
+    return reason_to_end(int(table["objects"][-1])) if table["stopped"][-1:].any() else ""
 
 
 def _last(table: Dict[str, np.ndarray], column: str) -> Optional[float]:

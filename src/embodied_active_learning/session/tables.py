@@ -35,8 +35,8 @@ COLUMNS: Dict[str, Tuple[str, ...]] = {
         "update", "observations", "active_units", "mse_own", "mse_shuffled", "mse_none", "log_std_min", "log_std_max",
     ),
     "stopping": (
-        "update", "observations", "objects", "undiscovered", "unlearned", "drift", "stable_checks", "learned_checks",
-        "contrast", "latent_contribution", "coverage", "stopped",
+        "update", "observations", "objects", "undiscovered", "drift", "stable_checks", "contrast",
+        "latent_contribution", "coverage", "stopped",
     ),
     "rounds": ("update", "trainers", "updates", "seconds", "computing"),
 }
