@@ -25,7 +25,7 @@ root="${root/#\~/$HOME}"
 found="${session:0:60}-id"  # at most 64 characters
 
 echo "1 of 3: learning"
-tools/learn.sh "profile:=$profile" "session:=$session" "session_root:=$root" "${learn[@]}"
+tools/learn.sh "profile:=$profile" "session:=$session" "session_root:=$root" steps:=auto "${learn[@]}"
 
 source tools/local_master.bash
 echo "2 of 3: fingerprinting"
@@ -35,7 +35,7 @@ python3 tools/check_session.py fingerprinted "$root/$session"
 
 echo "3 of 3: identifying in $identify_world"
 roslaunch embodied_active_learning identify.launch "profile:=$profile" "sessions:=$session" "world:=$identify_world" \
-    "images:=$images" explorer:=uniform_ergodic "session:=$found" "session_root:=$root" name:=demo
+    "images:=$images" explorer:=active "session:=$found" "session_root:=$root" name:=demo
 result="$(python3 tools/check_session.py identified "$root/$found" demo)"
 cat << RESULT
 
@@ -45,7 +45,7 @@ $result
 
 what to try next (source setup.bash):
   other worlds:      roslaunch embodied_active_learning identify.launch sessions:=$session world:=stars_ducks profile:=$profile \\
-                         explorer:=uniform_ergodic images:=$images session_root:=$root
+                         explorer:=active images:=$images session_root:=$root
   drive to the found objects and take a picture of each:  add visit:=true
   watch it in rviz:  add rviz:=true
   your own world:    docs/worlds.md        a real Panda: docs/panda.md

@@ -183,15 +183,15 @@ class FingerprintConfig:
     min_contrast: float = setting(
         1.2, "smallest ratio of largest to smallest predicted standard deviation with objects", "", 1.0, 100.0
     )
-    views: int = setting(50, "views of each object", "", 2, 1000)
-    view_std: float = setting(0.015, "standard deviation of the views around the centre, in x and y", "m", 1e-3, 0.5)
+    views: int = setting(20, "views of each object", "", 2, 1000)
+    view_std: float = setting(0.03, "standard deviation of the views around the centre, in x and y", "m", 1e-3, 0.5)
     view_yaw_std: float = setting(2.8, "standard deviation of the views' yaw", "rad", 0.01, 100.0)
     view_box: float = setting(0.06, "largest distance of a view from the centre, in x and y", "m", 0.005, 0.5)
     steps_per_view: int = setting(3, "arm steps per view kept", "", 1, 100)
     min_view_distance: float = setting(
-        0.002, "views closer than this, and than min_view_turn, are duplicates", "m", 0.0, 0.1
+        0.012, "views closer than this, and than min_view_turn, are duplicates", "m", 0.0, 0.1
     )
-    min_view_turn: float = setting(0.05, "smallest yaw between two views at one place", "rad", 0.0, 3.0)
+    min_view_turn: float = setting(0.8, "smallest yaw between two views at one place", "rad", 0.0, 3.0)
 
 
 @dataclass(frozen=True)

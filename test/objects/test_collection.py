@@ -189,7 +189,8 @@ def test_new_collection_is_empty():
 
 
 def test_duplicate_needs_small_distance_and_turn():
-    collection = ViewCollection(configuration(steps_per_view=1), np.array(CENTRE), 0)
+    config = configuration(steps_per_view=1, min_view_distance=0.002, min_view_turn=0.05)
+    collection = ViewCollection(config, np.array(CENTRE), 0)
     offsets = [(0, 0, 0), (0.001, 0, 0.03), (0.003, 0, 0), (0, 0.001, 0.06), (0.001, 0.001, -0.04), (0, 0.003, 0.06)]
     kept = [
         collection.observe(np.add(CENTRE, offset), np.zeros(3), np.zeros((2, 3, 3), np.uint8)) for offset in offsets
