@@ -99,7 +99,7 @@ class Identification:
         self.open_places: np.ndarray = np.empty((0, 2))
         """(P, 2) places [m] that need more views, as of the last call of `decide`."""
         self._closed: Dict[str, List[Decision]] = {}
-        self._mosaic: Optional[Mosaic] = None
+        self._scene: Optional[Tuple[SceneViews, Mosaic]] = None
 
     def observe(self, states: np.ndarray, images: np.ndarray) -> None:
         """Process the next images of the stream.
@@ -122,7 +122,8 @@ class Identification:
         May be called after any number of images: what was decided in an earlier call without being open is kept.
         """
         views = SceneViews(states, images, self._camera)
-        mosaic = self._mosaic = Mosaic(views, self._workspace, self._settings.margin)
+        mosaic = Mosaic(views, self._workspace, self._settings.margin)
+        self._scene = views, mosaic
         decisions: List[Decision] = []
         places: List[np.ndarray] = []
         self.decided = True
@@ -143,7 +144,7 @@ class Identification:
 
     def unknown_objects(self, decisions: Sequence[Decision]) -> List[UnknownObject]:
         """Return what stands where none of the last decisions found an object, the largest one first."""
-        return [] if self._mosaic is None else find_unknown(self._mosaic, decisions, self._settings.separation)
+        return [] if self._scene is None else find_unknown(*self._scene, decisions, self._settings.separation)
 
 
 def _make_group(

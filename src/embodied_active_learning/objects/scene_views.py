@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, Tuple
+from typing import Dict, Optional, Tuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.objects.appearance import sample_image
 from embodied_active_learning.objects.colours import blurred, colour_features
+from embodied_active_learning.objects.relief import Relief, relief_at
 from embodied_active_learning.workspace import Workspace
 
 MOSAIC_PIXEL = 0.003
@@ -36,6 +37,10 @@ class SceneViews:
         _, found = self._tree.query(place, k=min(count, len(self.states)), distance_upper_bound=distance)
         found = np.atleast_1d(found)
         return found[found < len(self.states)]
+
+    def relief_at(self, place: np.ndarray) -> Optional[Relief]:
+        """Return the relief of the surroundings of a place (2,) [m]; None where too few images show them."""
+        return relief_at(place, self.states, self._images, self._camera)
 
     def features(self, view: int, points: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """Features (..., 3) of an image at points (..., 2) of the table, and which of them are in view."""

@@ -1,7 +1,8 @@
 """Unknown objects: what stands on the table although no fingerprint was found there.
 
 The table's colours are those that many parts of the scene share, so no model of the table is needed. What differs from
-them and is as large as an object is reported. A table whose pattern varies more than its parts share is not judged.
+them, is as large as an object and does not lie in the plane of the table is reported. A table whose pattern varies more
+than its parts share is not judged.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from embodied_active_learning.objects.colours import TableColours
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import OBJECT
-from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic
+from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, SceneViews
 
 _PART = 20
 """Side of a part of the scene that shows its share of the table, in pixels of the mosaic: 6 cm."""
@@ -45,11 +46,14 @@ class UnknownObject(NamedTuple):
     picture: np.ndarray
 
 
-def find_unknown(mosaic: Mosaic, decisions: Sequence[Decision], separation: float) -> List[UnknownObject]:
+def find_unknown(
+    views: SceneViews, mosaic: Mosaic, decisions: Sequence[Decision], separation: float
+) -> List[UnknownObject]:
     """Return the unknown objects of a scene, the largest one first.
 
     Args:
-        mosaic: The scene.
+        views: The images of the scene.
+        mosaic: The same images as one.
         decisions: Nothing within a distance of an object that was found is unknown.
         separation: That distance [m].
     """
@@ -75,7 +79,9 @@ def find_unknown(mosaic: Mosaic, decisions: Sequence[Decision], separation: floa
                 max(rows - _PICTURE, 0) : rows + _PICTURE, max(columns - _PICTURE, 0) : columns + _PICTURE
             ]
             place = np.array([mosaic.x[columns], mosaic.y[rows]])
-            found.append(UnknownObject(place, float(areas[label]), picture))
+            relief = views.relief_at(place)
+            if relief is None or not relief.flat:
+                found.append(UnknownObject(place, float(areas[label]), picture))
     return found
 
 
