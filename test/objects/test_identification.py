@@ -13,12 +13,13 @@ import pytest
 from embodied_active_learning.config import CameraConfig, IdentificationConfig
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.geometry import pose_distance
-from embodied_active_learning.objects import identification, search_target
+from embodied_active_learning.objects import identification, scene_views, search_target
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.objects.relief import Relief
 from painted_table import KINDS, TABLE, PaintedModel, Thing, learn, paint, random_states
 
 SETTINGS = IdentificationConfig(
@@ -239,6 +240,15 @@ def test_absent_object_is_not_found_on_another():
     decisions = decide((put(RED, HERE),))
     assert_found(of(decisions, "object-1"), [HERE])
     assert_not_found(of(decisions, "object-2"))
+
+
+def test_print_that_looks_like_an_object_is_not_found(monkeypatch):
+    """Of two equal discs, the one seen as flat is no object, unless the fingerprint itself may be of a print."""
+    images, printed = stream((put(RED, HERE), put(RED, THERE))), np.array(THERE[:2])
+    relief = lambda place, *images: Relief(1e-3 * (np.hypot(*(place - printed)) > 0.03), 0.02, 0.0)  # noqa: E731
+    monkeypatch.setattr(scene_views, "relief_at", relief)
+    assert_found(of(identify(images, (learn((RED,), BARE, fingerprint={}),)), "object-1"), [HERE])
+    assert_found(of(identify(images, (learn((RED,), BARE),)), "object-1"), [HERE, THERE])
 
 
 @pytest.mark.parametrize("things", [(), (put(GREEN, HERE),)])

@@ -67,7 +67,7 @@ def learning(tmp_path_factory):
         run.answers = []
         first = threading.Thread(target=lambda: run.answers.append(run.call("/fingerprint")))
         first.start()
-        run.wait_for(lambda: "view 10 of 40" in run.log())
+        run.wait_for(lambda: "view 10 of 20" in run.log())
         run.before = run.rows()
         run.answers.append(run.call("/fingerprint"))
         first.join()
@@ -120,18 +120,18 @@ def test_fingerprint_response_has_no_pixels(fingerprinted):
 def test_one_fingerprint_per_object_and_one_blank(fingerprinted):
     found = load_fingerprints(fingerprinted.path)
     assert [item.kind for item in found.fingerprints] == ["object", "object", "blank"]
-    assert all(len(item.states) == 40 for item in found.fingerprints)
+    assert all(len(item.states) == 20 for item in found.fingerprints)
     assert distances(found, fingerprinted.path)[-1] < 0.02
 
 
 def test_arm_stop_fails_fingerprinting_and_keeps_stored(fingerprinted):
     before = load_fingerprints(fingerprinted.path).created
     stored = sorted((fingerprinted.path / "fingerprints").rglob("*"))
-    lines = fingerprinted.log().count("view 10 of 40")
+    lines = fingerprinted.log().count("view 10 of 20")
     answers = []
     call = threading.Thread(target=lambda: answers.append(fingerprinted.call("/fingerprint")))
     call.start()
-    fingerprinted.wait_for(lambda: fingerprinted.log().count("view 10 of 40") > lines)
+    fingerprinted.wait_for(lambda: fingerprinted.log().count("view 10 of 20") > lines)
     fingerprinted.call("/arm/stop")
     call.join()
     fingerprinted.call("/arm/recover")
@@ -177,10 +177,10 @@ def test_cancelled_action_stops_arm_and_keeps_fingerprints(fingerprinted):
 @pytest.mark.parametrize("cancel", ["kill", "publish"])
 def test_service_call_is_cancelled_by_death_of_caller_or_topic(fingerprinted, cancel):
     before = load_fingerprints(fingerprinted.path).created
-    tens = fingerprinted.log().count("view 10 of 40")
+    tens = fingerprinted.log().count("view 10 of 20")
     command = ["rosservice", "call", "/fingerprint"]
     caller = subprocess.Popen(command, env=fingerprinted.variables, stdout=subprocess.PIPE, text=True)
-    fingerprinted.wait_for(lambda: fingerprinted.log().count("view 10 of 40") > tens)
+    fingerprinted.wait_for(lambda: fingerprinted.log().count("view 10 of 20") > tens)
     if cancel == "kill":
         caller.kill()
         fingerprinted.wait_for(lambda: "fingerprint failed: cancelled by the caller" in fingerprinted.log())

@@ -182,7 +182,11 @@ def weights_of(things: Sequence[Thing]) -> Dict[str, torch.Tensor]:
 
 def learn(things: Sequence[Thing], blank=None, session="learned", views=50, **sections) -> FingerprintSet:
     """Return the fingerprints of a painted table: object-1, object-2, ... and blank-1 around a place (2,)."""
-    values = {"camera": {"width": 45, "height": 45}, "model": {"latent_size": latents_for(len(things))}}
+    values = {
+        "camera": {"width": 45, "height": 45},
+        "model": {"latent_size": latents_for(len(things))},
+        "fingerprint": {"prints": True},  # most things have no height
+    }
     config = Config.from_dict({**values, **sections})
     model, box = PaintedModel(config, weights_of(things)), config.workspace.box()
     centres = [(f"object-{number}", OBJECT, thing.pose) for number, thing in enumerate(things, start=1)]

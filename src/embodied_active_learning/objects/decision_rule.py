@@ -103,7 +103,7 @@ class DecisionRule:
         for candidate in sorted(found, key=lambda item: -item.similarity):
             apart = [pose_distance(candidate.pose, other.pose)[0] >= settings.separation for other in decisions]
             if all(apart):
-                decisions.append(self._judge(target, candidate, unseen, table_match))
+                decisions.append(self._judge(target, candidate, views, unseen, table_match))
         return decisions
 
     def _unseen(self, mosaic: Mosaic) -> str:
@@ -112,12 +112,18 @@ class DecisionRule:
             return f"only {100 * mosaic.coverage:.0f} % of the workspace seen: take more images"
         return ""
 
-    def _judge(self, target: SearchTarget, candidate: Candidate, unseen: str, table_match: float) -> Decision:
+    def _judge(
+        self, target: SearchTarget, candidate: Candidate, views: SceneViews, unseen: str, table_match: float
+    ) -> Decision:
         """Decide at a candidate pose, given why absence cannot be stated and the share of the scene in its colours."""
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
+        middle = target.appearance.middle_at(candidate.pose)
         clearly_below = -1.0 < value < _CLEARLY_BELOW * limits.miss
         if candidate.near < MIN_VIEWS and not clearly_below:
             outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
+        elif value >= limits.miss and target.has_height and _is_flat(views, middle):
+            outcome = NOT_HERE
+            reason = f"similarity {value:.2f}, but the place lies in the plane of the table"
         elif value >= limits.found:
             outcome = FOUND
             reason = f"similarity {value:.2f}, limit {limits.found:.2f}"
@@ -139,7 +145,7 @@ class DecisionRule:
             outcome = NOT_HERE
             reason = f"best similarity {value:.2f}, limit {limits.miss:.2f}"
         return replace(
-            self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
+            self._decision(target, middle, outcome, reason),
             confidence=target.calibration.confidence(value),
             residual=1.0 - value if candidate.near >= MIN_VIEWS else np.inf,
             views=candidate.near,
@@ -207,6 +213,12 @@ class DecisionRule:
         """Whether two different objects cannot both be where they were found."""
         near = pose_distance(one.pose, other.pose)[0] < self._settings.separation
         return bool(one.kind == other.kind and one.fingerprint != other.fingerprint and near)
+
+
+def _is_flat(views: SceneViews, pose: np.ndarray) -> bool:
+    """Whether everything around a pose (3,) lies in the plane of the table."""
+    relief = views.relief_at(pose[:2])
+    return relief is not None and relief.flat
 
 
 def _resolved(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]]) -> Decision:

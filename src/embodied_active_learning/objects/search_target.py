@@ -55,6 +55,11 @@ class SearchTarget:
         return Appearance(self.fingerprint, self._set.fingerprints, self._set.config.camera)
 
     @property
+    def has_height(self) -> bool:
+        """Whether the object stands on the table: prints were left out when its fingerprint was made."""
+        return not self._set.config.fingerprint.prints
+
+    @property
     def problem(self) -> str:
         """Why an object cannot be recognised, and the remedy; empty if it can, and of a blank."""
         return self.appearance.problem if self.fingerprint.kind == OBJECT else ""
