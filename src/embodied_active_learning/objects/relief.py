@@ -79,7 +79,7 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
         return None
     axis = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
     points = place + np.stack(np.meshgrid(axis, axis), axis=-1)
-    smooth = [blurred(images[index], camera) for index in chosen]
+    smooth = [blurred(images[index], camera).astype(np.float32) for index in chosen]
     differences = np.empty((len(_HEIGHTS), len(axis), len(axis)))
     contrast = 0.0
     for index, height in enumerate(_HEIGHTS):
@@ -106,11 +106,11 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
 def _rectified(
     image: np.ndarray, state: np.ndarray, points: np.ndarray, height: float, camera: CameraConfig
 ) -> np.ndarray:
-    """Colours (S, S, 3) float32 of points (S, S, 2) at a height in an image from a state (3,); NaN out of view."""
+    """Colours (S, S, 3) of points (S, S, 2) at a height in an image, float32, from a state (3,); NaN out of view."""
     on_table = state[:2] + (points - state[:2]) * (camera.distance / (camera.distance - height))
     rows, columns = pixels_of(state, on_table, camera)
     return cv2.remap(
-        image.astype(np.float32),
+        image,
         columns.astype(np.float32),
         rows.astype(np.float32),
         cv2.INTER_LINEAR,
