@@ -8,7 +8,7 @@ from a known height, and camera states that fit the images.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Optional
+from typing import List, NamedTuple, Optional
 
 import cv2
 import numpy as np
@@ -49,13 +49,11 @@ class Relief(NamedTuple):
 
     Attributes:
         area: Area that is raised above the table [m^2].
-        height: Mean height of that area [m]; 0 without one.
         difference: Mean absolute difference between the images, rectified to the table's plane, and their median,
             relative to the contrast of the median.
     """
 
     area: float
-    height: float
     difference: float
 
     @property
@@ -79,7 +77,7 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
         return None
     axis = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
     points = place + np.stack(np.meshgrid(axis, axis), axis=-1)
-    smooth = [blurred(images[index], camera).astype(np.float32) for index in chosen]
+    smooth: List[np.ndarray] = [blurred(images[index], camera).astype(np.float32) for index in chosen]
     differences = np.empty((len(_HEIGHTS), len(axis), len(axis)))
     contrast = 0.0
     for index, height in enumerate(_HEIGHTS):
@@ -98,7 +96,6 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
     raised = clear & (heights > _MIN_HEIGHT) & (np.hypot(axis, axis[:, np.newaxis]) < _RADIUS)
     return Relief(
         area=float(raised.sum()) * _PIXEL**2,
-        height=float(heights[raised].mean()) if raised.any() else 0.0,
         difference=float(differences[0].mean()) / max(contrast, 1.0),
     )
 
