@@ -245,8 +245,11 @@ def test_absent_object_is_not_found_on_another():
 def test_print_that_looks_like_an_object_is_not_found(monkeypatch):
     """Of two equal discs, the one seen as flat is no object, unless the fingerprint itself may be of a print."""
     images, printed = stream((put(RED, HERE), put(RED, THERE))), np.array(THERE[:2])
-    relief = lambda place, *images: Relief(1e-3 * (np.hypot(*(place - printed)) > 0.03), 0.0)  # noqa: E731
-    monkeypatch.setattr(scene_views, "relief_at", relief)
+
+    def relief_at(place, *images):
+        return Relief(place, np.full((19, 19), np.hypot(*(place - printed)) > 0.03), np.zeros((19, 19)))
+
+    monkeypatch.setattr(scene_views, "relief_at", relief_at)
     assert_found(of(identify(images, (learn((RED,), BARE, fingerprint={}),)), "object-1"), [HERE])
     assert_found(of(identify(images, (learn((RED,), BARE),)), "object-1"), [HERE, THERE])
 

@@ -59,3 +59,14 @@ def test_relief_needs_images_from_different_places():
     states = near_states(24) * (0.1, 0.1, 1.0) + 0.9 * np.array([*PLACE, 0.0])
     images = paint(states, [Thing(0, (*PLACE, 0.4), height=0.03)], CONFIG.camera)
     assert relief_at(PLACE, states, images, CONFIG.camera) is None
+
+
+def test_points_beside_a_standing_disc_are_flat():
+    states = near_states(24)
+    images = paint(states, [Thing(0, (*PLACE, 0.4), radius=0.015, height=0.03)], CONFIG.camera)
+    found = relief_at(PLACE, states, images, CONFIG.camera)
+    disc = np.random.default_rng(0).uniform(-0.008, 0.008, (100, 2))
+    assert not found.flat
+    assert not found.is_flat_at(PLACE + disc)
+    assert found.is_flat_at(PLACE + 0.024 + 0.2 * disc)
+    assert not found.is_flat_at(PLACE + 0.1 + disc), "nothing is known beyond the map"

@@ -14,6 +14,7 @@ import numpy as np
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.objects.appearance import place
 from embodied_active_learning.objects.beliefs import Peak
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
@@ -117,11 +118,10 @@ class DecisionRule:
     ) -> Decision:
         """Decide at a candidate pose, given why absence cannot be stated and the share of the scene in its colours."""
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
-        middle = target.appearance.middle_at(candidate.pose)
         clearly_below = -1.0 < value < _CLEARLY_BELOW * limits.miss
         if candidate.near < MIN_VIEWS and not clearly_below:
             outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
-        elif value >= limits.miss and target.has_height and _is_flat(views, middle):
+        elif value >= limits.miss and target.has_height and _is_flat(target, views, candidate.pose):
             outcome = NOT_HERE
             reason = f"similarity {value:.2f}, but the place lies in the plane of the table"
         elif value >= limits.found:
@@ -145,7 +145,7 @@ class DecisionRule:
             outcome = NOT_HERE
             reason = f"best similarity {value:.2f}, limit {limits.miss:.2f}"
         return replace(
-            self._decision(target, middle, outcome, reason),
+            self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
             confidence=target.calibration.confidence(value),
             residual=1.0 - value if candidate.near >= MIN_VIEWS else np.inf,
             views=candidate.near,
@@ -215,10 +215,12 @@ class DecisionRule:
         return bool(one.kind == other.kind and one.fingerprint != other.fingerprint and near)
 
 
-def _is_flat(views: SceneViews, pose: np.ndarray) -> bool:
-    """Whether everything around a pose (3,) lies in the plane of the table."""
-    relief = views.relief_at(pose[:2])
-    return relief is not None and relief.flat
+def _is_flat(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:
+    """Whether the table is flat where the object would be at a pose (3,)."""
+    appearance = target.appearance
+    relief = views.relief_at(appearance.middle_at(pose)[:2])
+    points = place(appearance.inside_points[appearance.central_view], pose[np.newaxis])[0]
+    return relief is not None and relief.is_flat_at(points)
 
 
 def _resolved(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]]) -> Decision:

@@ -40,26 +40,46 @@ _RATIO, _NOISE = 1.5, 2.0
 """A part is raised if its differences in the table's plane exceed those at its height by this ratio, plus noise."""
 _MIN_AREA = 1e-4
 """Raised area of something that stands on the table [m^2]."""
+_MIN_RAISED, _MIN_SHOWN = 0.1, 0.5
+"""Share of an object's points that are raised: 0.3 to 1 of 32 objects. Share of the points that must be on the map."""
 _EXPLAINED = 0.1
 """Largest difference in the table's plane, relative to the contrast, of a thing that lies in it."""
+_AXIS = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
+_DISC = np.hypot(_AXIS, _AXIS[:, np.newaxis]) < _RADIUS
 
 
 class Relief(NamedTuple):
-    """The surroundings of a place.
+    """The surroundings of a place, as a map of S x S pixels; rows along y.
 
     Attributes:
-        area: Area that is raised above the table [m^2].
-        difference: Mean absolute difference between the images, rectified to the table's plane, and their median,
-            relative to the contrast of the median.
+        place: (2,) x [m], y [m] of its middle.
+        raised: (S, S) which pixels are raised above the table.
+        difference: (S, S) mean absolute difference between the images, rectified to the table's plane, and their
+            median, relative to the contrast of the median.
     """
 
-    area: float
-    difference: float
+    place: np.ndarray
+    raised: np.ndarray
+    difference: np.ndarray
+
+    @property
+    def area(self) -> float:
+        """Area within a radius of 2.7 cm that is raised above the table [m^2]."""
+        return float(self.raised[_DISC].sum()) * _PIXEL**2
 
     @property
     def flat(self) -> bool:
         """Whether the surroundings lie in the plane of the table; false if the images do not fit each other so well."""
-        return self.area < _MIN_AREA and self.difference < _EXPLAINED
+        return self.area < _MIN_AREA and bool(self.difference[_DISC].mean() < _EXPLAINED)
+
+    def is_flat_at(self, points: np.ndarray) -> bool:
+        """Return whether points (K, 2) [m] lie in the plane of the table, as far as the map shows them."""
+        columns, rows = np.rint((points - self.place + _RADIUS) / _PIXEL).astype(int).T
+        shown = (np.minimum(rows, columns) >= 0) & (np.maximum(rows, columns) < len(self.raised))
+        if shown.mean() < _MIN_SHOWN:
+            return False
+        cells = rows[shown], columns[shown]
+        return bool(self.raised[cells].mean() < _MIN_RAISED and self.difference[cells].mean() < _EXPLAINED)
 
 
 def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera: CameraConfig) -> Optional[Relief]:
@@ -75,10 +95,9 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
     chosen = near[spread_indices(len(near), _IMAGES)]
     if len(chosen) < _MIN_IMAGES or np.hypot(*states[chosen, :2].std(axis=0)) < _MIN_SPREAD:
         return None
-    axis = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
-    points = place + np.stack(np.meshgrid(axis, axis), axis=-1)
+    points = place + np.stack(np.meshgrid(_AXIS, _AXIS), axis=-1)
     smooth: List[np.ndarray] = [blurred(images[index], camera).astype(np.float32) for index in chosen]
-    differences = np.empty((len(_HEIGHTS), len(axis), len(axis)))
+    differences = np.empty((len(_HEIGHTS), len(_AXIS), len(_AXIS)))
     contrast = 0.0
     for index, height in enumerate(_HEIGHTS):
         parts = [_rectified(image, state, points, height, camera) for image, state in zip(smooth, states[chosen])]
@@ -93,11 +112,7 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
             contrast = float(np.abs(median - np.median(median, axis=(0, 1))).sum(axis=-1).mean())
     heights = np.array(_HEIGHTS)[differences.argmin(axis=0)]
     clear = differences[0] + _NOISE > _RATIO * (differences.min(axis=0) + _NOISE)
-    raised = clear & (heights > _MIN_HEIGHT) & (np.hypot(axis, axis[:, np.newaxis]) < _RADIUS)
-    return Relief(
-        area=float(raised.sum()) * _PIXEL**2,
-        difference=float(differences[0].mean()) / max(contrast, 1.0),
-    )
+    return Relief(place, clear & (heights > _MIN_HEIGHT), differences[0] / max(contrast, 1.0))
 
 
 def _rectified(
