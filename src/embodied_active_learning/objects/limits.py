@@ -4,8 +4,8 @@ The user states one number, `identification/error_rate`:
 
 * miss limit: the quantile of the true similarities at that rate. Split conformal prediction: a new place from the same
   distribution falls below it with at most that probability.
-* look-alike limit: the quantile of the false similarities at 1 minus that rate, divided by the share of look-alikes
-  among all other objects. Most others resemble the object in neither colour nor shape.
+* look-alike limit: the quantile of the false similarities at 1 - r, where r is that rate divided by the share of
+  look-alikes among all other objects: most of these resemble the object in neither colour nor shape.
 
 An object is found above both limits and not here below the miss limit. In between it is undecided, because a look-alike
 would be as similar. Not guaranteed: that real changes of table and light are within the simulated ones, and that

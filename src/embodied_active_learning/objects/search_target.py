@@ -56,8 +56,9 @@ class SearchTarget:
 
     @property
     def has_height(self) -> bool:
-        """Whether the object stands on the table: prints were left out when its fingerprint was made."""
-        return not self._set.config.fingerprint.prints
+        """Whether the object stands on the table, because prints were left out when its fingerprint was made."""
+        settings = self._set.config.fingerprint
+        return settings.clustering == "table" and not settings.prints
 
     @property
     def problem(self) -> str:
