@@ -206,7 +206,7 @@ def test_run_of_two_trainers_ends_once_objects_are_stable(tmp_path, monkeypatch)
 
     def measure(config, model, evaluation, coverage, stored):
         centres = np.array([[0.4, 0.0], [0.5, 0.1]])
-        return Measurement(evaluation.update, evaluation.observations, centres, 0, 0, 5.0, 0.9, 0.9)
+        return Measurement(evaluation.update, evaluation.observations, centres, 0, 5.0, 0.9, 0.9)
 
     monkeypatch.setattr(stopping, "measure", measure)
     monkeypatch.setattr(stopping, "CHECK_EVERY", 2)

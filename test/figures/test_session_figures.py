@@ -156,7 +156,7 @@ def test_stopping_criterion_has_a_figure(tmp_path):
     session = make_session(tmp_path, count=2, exploration={"stop": "stable"})
     with session.paths.table("stopping").open("x") as stream:
         stream.write(
-            f"{','.join(COLUMNS['stopping'])}\n150,113,0,2,1,nan,1,0,1.6,0.0,0.5,0\n300,163,2,0,0,,1,1,3.0,0.6,0.6,1\n"
+            f"{','.join(COLUMNS['stopping'])}\n150,113,0,2,nan,1,1.6,0.0,0.5,0\n300,163,2,0,,1,3.0,0.6,0.6,1\n"
         )
     figures = draw_session_figures(session)
     assert [path.name for path in figures] == ["learning_metrics.png", "stopping.png"]

@@ -63,7 +63,7 @@ def test_one_seed_gives_one_result(learned, tmp_path):
 def test_run_that_ends_early_is_a_shorter_run(tmp_path, monkeypatch):
     """It has the files of a run of that many steps, and an interrupted one ends after as many."""
     monkeypatch.setattr(stopping, "CHECK_EVERY", 2)
-    found = Measurement(0, 0, np.array([[0.4, 0.0]]), 0, 0, 5.0, 0.9, 0.9)
+    found = Measurement(0, 0, np.array([[0.4, 0.0]]), 0, 5.0, 0.9, 0.9)
     monkeypatch.setattr(stopping, "measure", lambda config, model, evaluation, coverage, stored: replace(
         found, update=evaluation.update, observations=evaluation.observations
     ))  # fmt: skip
