@@ -10,6 +10,7 @@ import pytest
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.figures.evidence import Evidence, draw_evidence
 from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.objects import colours
 from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.calibration import calibrate
@@ -46,6 +47,16 @@ def test_appearance_has_area_and_middle_of_painted_disc(appearance):
     assert appearance.usable.all()
     assert appearance.area == pytest.approx(np.pi * RED.radius**2, rel=0.15)
     np.testing.assert_allclose(appearance.middle, 0.0, atol=0.002)
+
+
+def test_colours_of_object_that_reaches_far_are_not_the_table(monkeypatch):
+    """Beyond the reach, the views of its fingerprint and of another one are taken for views of the table."""
+    large = RED._replace(radius=0.045)
+    found = learn((large, BLUE._replace(pose=(0.49, -0.03, -1.0))), (0.36, 0.12))
+    monkeypatch.setattr(colours, "OBJECT_REACH", 0.02)
+    appearance = Appearance(found.fingerprints[0], found.fingerprints, CAMERA)
+    assert appearance.problem == ""
+    assert appearance.area == pytest.approx(np.pi * large.radius**2, rel=0.15)
 
 
 def test_middle_and_centre_are_inverse(appearance):

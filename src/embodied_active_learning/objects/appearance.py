@@ -43,6 +43,8 @@ _CLUTTER = 0.1
 """Largest area around the object, relative to its own, with colours of neither the object nor the table elsewhere."""
 _OFF_CENTRE = SIDE / 6
 """Distance from the centre, in pixels, at which a region counts 0.6 of its size: 2 cm, beyond the error of a centre."""
+_MIDDLE = slice(SIDE // 2 - 5, SIDE // 2 + 5)
+"""Rows and columns of the rectified pixels in the middle, which show the object: 1.5 cm."""
 _CROSS: np.ndarray = np.ones((3, 3), np.uint8)
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 # The ring lies 3 to 10.5 mm outside the object: beyond the blur of its border, but on the table next to it.
@@ -79,7 +81,8 @@ class Appearance:
         self.masks: np.ndarray = np.zeros((views, SIDE, SIDE), dtype=bool)
         self.colours, self.in_view = self._rectified()
         self.problem = ""
-        table = _table(fingerprint, fingerprints, camera)
+        middle = colour_features(self.colours[:, _MIDDLE, _MIDDLE][self.in_view[:, _MIDDLE, _MIDDLE]])
+        table = _table(fingerprint, fingerprints, middle, camera)
         random = np.random.default_rng(0)
         clutter, near = np.zeros(views), _away_from_others(fingerprint, fingerprints)
         for view in range(views):
@@ -199,10 +202,23 @@ def pixel_positions() -> np.ndarray:
 _GRID = pixel_positions().reshape(-1, 2)
 
 
-def _table(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], camera: CameraConfig) -> TableColours:
-    """The table's colours: around this fingerprint, and around the others of its set."""
-    parts = [table_features(item, fingerprints, camera) for item in fingerprints]
-    return TableColours([part for part in parts if len(part)] or [np.zeros((1, 3), np.float32)])
+def _table(
+    fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], middle: np.ndarray, camera: CameraConfig
+) -> TableColours:
+    """The table's colours: around this fingerprint, and around the others of its set.
+
+    A colour of the table is shown by several places. Those of an object that reaches far may be too; around this
+    fingerprint they are left out if the middle of its views, with features (N, 3), has them and the others do not.
+    """
+    own = table_features(fingerprint, fingerprints, camera)
+    others = [table_features(item, fingerprints, camera) for item in fingerprints if item is not fingerprint]
+    others = [part for part in others if len(part)]
+    if others and len(own):
+        elsewhere = TableColours(others)
+        middle = middle[elsewhere.distance(middle) > _FOREGROUND]
+        if len(middle):
+            own = own[(TableColours([middle]).distance(own) > _FOREGROUND) | (elsewhere.distance(own) <= _FOREGROUND)]
+    return TableColours([part for part in (own, *others) if len(part)] or [np.zeros((1, 3), np.float32)])
 
 
 def _away_from_others(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]) -> np.ndarray:
