@@ -181,7 +181,7 @@ def test_rejected_candidate_is_hollow_without_number():
     assert (markers(axes, filled=False), markers(axes, filled=True)) == ([(0.40, 0.05)], [])
     assert [text.get_text() for text in axes.texts] == ["90%"]
     notes = [text.get_text() for one in figure.axes for text in one.texts]
-    assert "not found" in notes
+    assert NOT_HERE in notes
     assert any(note.startswith("2 of 30") for note in notes)
 
 

@@ -176,7 +176,7 @@ def _outcome(decisions: Sequence[Decision], truth: Truth) -> Tuple[str, str, Lis
         return f"found {found} times" if found > 1 else "found", FOUND, []
     if not decisions:
         return "not decided", GREY, []
-    return "not found", GREY, textwrap.wrap(decisions[0].reason, _NOTE_WIDTH)
+    return decisions[0].outcome, GREY, textwrap.wrap(decisions[0].reason, _NOTE_WIDTH)
 
 
 def _prominence(panel: BeliefPanel) -> np.ndarray:
