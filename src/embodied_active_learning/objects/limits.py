@@ -27,9 +27,10 @@ RULES = 4
 
 
 _LOOK_ALIKES = 0.25
-"""Share of other objects that are look-alikes. With it, 5 of 480 pairs of a fingerprint and a scene without its object
-were claimed on development data, 1 %, at an error rate of 5 %."""
+"""Share of other objects that are look-alikes. With it, 5 of 480 pairs of a fingerprint and a scene had a claim where
+its object does not stand, on development data at an error rate of 5 %."""
 _MAX_RATE = 0.5
+"""Largest accepted rate of look-alikes."""
 
 
 class Limits(NamedTuple):
