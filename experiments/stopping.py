@@ -7,7 +7,8 @@ A world is COUNT-SEED: its number of objects (0: an empty table) and the seed of
 learned until the criterion stops it, or with `--stop fixed` for all steps. Then the model of each check is evaluated:
 a run that ends early is the beginning of the longer one, so one run of all steps shows the objects at the stop and
 after fixed numbers of steps. The script can be interrupted at any time and skips finished worlds. It writes two tables:
-the checks, and the objects at the stop and after fixed numbers of steps.
+the checks, and the objects at the stop and after fixed numbers of steps. With --fingerprint, each of these models
+becomes a session WORLD-STEPS with fingerprints, for identification.py.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 import embodied_active_learning as eal
+from embodied_active_learning.config import Config
 from embodied_active_learning.model.checkpoint import network_weights
 from embodied_active_learning.model.metrics import Evaluation
 from embodied_active_learning.model.trained_model import TrainedModel
@@ -107,6 +109,36 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
     return rows
 
 
+def store_fingerprints(session: Session, steps: int, root: Path) -> None:
+    """Store a session that ends after a number of steps, and its fingerprints, unless that was done before.
+
+    Args:
+        session: The longer run, with its checkpoints.
+        steps: At which the longer run has a checkpoint.
+        root: Folder of the shorter session.
+    """
+    name, training = f"{session.name}-{steps}", session.config.training
+    if (root / name / "fingerprints").exists():
+        return
+    shutil.rmtree(root / name, ignore_errors=True)
+    updates = session.config.updates_planned
+    if steps < session.config.exploration.steps:
+        updates = training.updates_per_observation * (steps - training.first_update_at)
+    values = session.config.to_dict()
+    values["session"].update(name=name, root=str(root))
+    values["exploration"].update(steps=steps, stop="fixed")
+    with session.open_observations() as store:
+        stored = store.snapshot()
+    with Session.open_for_writing(Config.from_dict(values)) as shorter, shorter.open_observations() as store:
+        for index in range(steps):
+            store.append(index, stored.stamps[index], stored.raw_states[index], stored.images[index])
+        path = f"checkpoint_{updates:09d}.safetensors"
+        shorter.paths.checkpoints.mkdir()
+        shutil.copy(session.paths.checkpoints / path, shorter.paths.checkpoints / path)
+    found = eal.fingerprint(root / name)
+    print(name, [f"{item.name}: {item.centre[:2].round(3)}" for item in found.fingerprints], flush=True)
+
+
 def compare(found: np.ndarray, truth: np.ndarray) -> Dict[str, Any]:
     """Compare the centres of clusters (K, 2) with those of the true objects (N, 2) [m]."""
     distances = np.linalg.norm(found[:, np.newaxis] - truth[np.newaxis], axis=-1)
@@ -145,6 +177,7 @@ def main() -> None:
     parser.add_argument("--root", type=Path, default=Path("~/.ros/embodied_active_learning/stopping"))
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / "stopping")
     parser.add_argument("--keep", action="store_true", help="keep the checkpoints, about 1.5 GB for each world")
+    parser.add_argument("--fingerprint", action="store_true", help="store sessions with fingerprints; implies --keep")
     options = parser.parse_args()
     root, results = options.root.expanduser(), options.results
     root.mkdir(parents=True, exist_ok=True)
@@ -152,16 +185,19 @@ def main() -> None:
     for name in options.worlds:
         count, seed = map(int, name.split("-"))
         world = world_file(root, count, seed, options.reserved)
-        if any(row["world"] == world.stem for row in read_rows(results / "stopping_checks.csv")):
-            continue
-        session = learn(world, root, options.steps, options.stop)
-        rows = evaluate(session)
-        append_rows(results / "stopping_objects.csv", OBJECTS, rows["objects"])
-        append_rows(results / "stopping_checks.csv", CHECKS, rows["checks"])
-        for row in rows["objects"]:
-            print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
-        if not options.keep:
-            shutil.rmtree(session.paths.checkpoints)
+        if not any(row["world"] == world.stem for row in read_rows(results / "stopping_checks.csv")):
+            rows = evaluate(learn(world, root, options.steps, options.stop))
+            append_rows(results / "stopping_objects.csv", OBJECTS, rows["objects"])
+            append_rows(results / "stopping_checks.csv", CHECKS, rows["checks"])
+            for row in rows["objects"]:
+                print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+        session = Session.open_read_only(root / world.stem)
+        if options.fingerprint:
+            of_world = [row for row in read_rows(results / "stopping_objects.csv") if row["world"] == world.stem]
+            for steps in sorted({int(row["steps"]) for row in of_world}):
+                store_fingerprints(session, steps, root)
+        elif not options.keep:
+            shutil.rmtree(session.paths.checkpoints, ignore_errors=True)
 
 
 if __name__ == "__main__":

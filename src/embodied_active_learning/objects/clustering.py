@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import List, Sequence, Tuple
+from typing import List, Tuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,8 +19,7 @@ from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
-from embodied_active_learning.objects.foreground_map import visible_things
-from embodied_active_learning.objects.relief import relief_at
+from embodied_active_learning.objects.foreground_map import map_foreground
 from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
@@ -55,7 +54,7 @@ class Cluster:
     Attributes:
         kind: OBJECT or BLANK.
         centre: (3,) x [m], y [m], theta [rad] in the base frame.
-        share: Share of the importance samples in the cluster; of the lowest-entropy states for a blank region.
+        share: Share of the clustered points in the cluster; of the lowest-entropy states for a blank region.
     """
 
     kind: str
@@ -72,8 +71,9 @@ class Clustering:
         flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
         clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
-        prints: Clusters in the plane of the table, which are no objects unless `fingerprint/prints` is set.
-        things: (N, 2) [m] centres of all visible things but prints, whether or not the model has learned them.
+        prints: (P, 2) [m] centres of what lies in the plane of the table, which is no object unless
+            `fingerprint/prints` is set.
+        things: (N, 2) [m] centres of all other visible things, whether or not the model has learned them.
         background: Colours of the table.
     """
 
@@ -81,7 +81,7 @@ class Clustering:
     flat: bool
     clusters: Tuple[Cluster, ...]
     unreachable: Tuple[Cluster, ...]
-    prints: Tuple[Cluster, ...]
+    prints: np.ndarray
     things: np.ndarray
     background: Background
 
@@ -97,7 +97,7 @@ def find_objects(
     The default, `table`, clusters table points of foreground pixels instead, which assumes more than the paper does: a
     camera that looks straight down from a known height with a known field of view, and a table whose colours are
     roughly Gaussian. Of these clusters only visible things are objects: a table's texture also has points that differ
-    from its colours, but no place where most do. Prints, which lie in the plane of the table, are not: see relief.
+    from its colours, but no place where most do. Points in the plane of the table, such as prints, are left out.
 
     Args:
         model: The model of the session.
@@ -119,20 +119,19 @@ def find_objects(
     low, high = np.quantile(std, _CONTRAST_QUANTILES)
     contrast = float(high / low)
     background = _background(model, latents, states, images)
-    visible = visible_things(states, images, background, config)
-    things = visible if settings.prints else visible[~_lies_flat(visible, states, images, config)]
+    visible = map_foreground(states, images, background, config)
+    things = visible.things
     if contrast < settings.min_contrast:
-        return Clustering(contrast, True, (), (), (), things, background)
+        return Clustering(contrast, True, (), (), visible.prints, things, background)
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
-        objects = _cluster(samples[:, :2], samples[:, 2], len(samples), settings, workspace)
-        prints: List[Cluster] = []
+        objects = _cluster(samples[:, :2], samples[:, 2], settings, workspace)
     else:
         points, yaws = _foreground_points(samples, states, images, background, config, random)
-        clusters = _cluster(points, yaws, _PIXELS_PER_SAMPLE * len(samples), settings, workspace)
-        seen = [cluster for cluster in clusters if _is_near(visible, cluster.centre, settings.merge_distance)]
-        objects, prints = _without_prints(seen, things, states, images, config)
+        standing = visible.stands_at(points)
+        clusters = _cluster(points[standing], yaws[standing], settings, workspace)
+        objects = [cluster for cluster in clusters if _is_near(things, cluster.centre, settings.merge_distance)]
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
     blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(
@@ -140,7 +139,7 @@ def find_objects(
         False,
         (*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
         tuple(cluster for cluster, within in zip(objects, reachable) if not within),
-        tuple(prints),
+        visible.prints,
         things,
         background,
     )
@@ -194,47 +193,22 @@ def _foreground_points(
     return np.concatenate(points), np.concatenate(yaws)
 
 
-def _cluster(
-    points: np.ndarray, yaws: np.ndarray, drawn: int, settings: FingerprintConfig, workspace: Workspace
-) -> List[Cluster]:
-    """Cluster points (P, 2) [m] with yaws (P,), largest first, without clusters that are small or near a larger one.
-
-    drawn: number of points if every sample had contributed its share.
-    """
-    if len(points) <= drawn * settings.min_share:
+def _cluster(points: np.ndarray, yaws: np.ndarray, settings: FingerprintConfig, workspace: Workspace) -> List[Cluster]:
+    """Cluster points (P, 2) [m] with yaws (P,), largest first, without clusters that are small or near a larger one."""
+    if not len(points):
         return []
     shift = MeanShift(bandwidth=settings.bandwidth, bin_seeding=True, cluster_all=False).fit(points)
     found = []
     for label, centre in enumerate(shift.cluster_centers_):
         members = shift.labels_ == label
         yaw = _mean_yaw(yaws[members], workspace)
-        found.append(Cluster(OBJECT, np.array([*centre, yaw]), float(members.sum() / drawn)))
+        found.append(Cluster(OBJECT, np.array([*centre, yaw]), float(members.mean())))
     kept: List[Cluster] = []
     for cluster in sorted(found, key=lambda item: -item.share):
         distances = [np.hypot(*(cluster.centre - other.centre)[:2]) for other in kept]
         if cluster.share >= settings.min_share and min(distances, default=math.inf) >= settings.merge_distance:
             kept.append(cluster)
     return kept
-
-
-def _without_prints(
-    clusters: Sequence[Cluster], things: np.ndarray, states: np.ndarray, images: np.ndarray, config: Config
-) -> Tuple[List[Cluster], List[Cluster]]:
-    """Separate the clusters of things (N, 2) from those in the plane of the table, unless `prints` is set."""
-    settings = config.fingerprint
-    if settings.prints or not clusters:
-        return list(clusters), []
-    centres = np.array([cluster.centre[:2] for cluster in clusters])
-    flat = _lies_flat(centres, states, images, config)
-    standing = [not lies and _is_near(things, centre, settings.merge_distance) for lies, centre in zip(flat, centres)]
-    objects = [cluster for cluster, stands in zip(clusters, standing) if stands]
-    return objects, [cluster for cluster, stands in zip(clusters, standing) if not stands]
-
-
-def _lies_flat(places: np.ndarray, states: np.ndarray, images: np.ndarray, config: Config) -> np.ndarray:
-    """Return at which places (K, 2) everything lies in the plane of the table; false where too few images show it."""
-    reliefs = [relief_at(place, states, images, config.camera) for place in places]
-    return np.array([relief is not None and relief.flat for relief in reliefs], dtype=bool)
 
 
 def _is_near(things: np.ndarray, centre: np.ndarray, distance: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Tuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from sklearn.cluster import MeanShift
 from embodied_active_learning.config import Config
 from embodied_active_learning.geometry import table_points
 from embodied_active_learning.images import spread_indices
+from embodied_active_learning.objects.relief import TILE, relief_at
 from embodied_active_learning.objects.salience import Background
 
 _CELL = 0.01  # m
@@ -24,14 +26,58 @@ _FOREGROUND = 0.5
 """Smallest mean salience of a thing. Textures of a table stay below it: they look alike everywhere."""
 _MIN_CELLS = 3
 _BLUR = 0.7  # cells
+_OVERHANG = 0.035
+"""Largest distance of a tile's middle from the workspace [m]: few images show what is farther away."""
 _WIDTH = 0.045  # m
-"""Bandwidth of mean shift, which separates things that touch, such as an object on a print."""
+"""Bandwidth of mean shift, which separates things that touch."""
 
 
-def visible_things(states: np.ndarray, images: np.ndarray, background: Background, config: Config) -> np.ndarray:
-    """Return the centres (K, 2) [m] of everything that differs from the table, also at the border of the workspace.
+@dataclass(frozen=True, eq=False)
+class ForegroundMap:
+    """Which cells of the table differ from its colours, and where something stands on it.
 
-    Unlike the clusters of the conditional entropy, they depend on colours alone: they are what the model should find.
+    Attributes:
+        lower: (2,) lower corner of the grid [m].
+        foreground: (X, Y) cells that differ from the table's colours in most images.
+        standing: (X, Y) cells that do not lie in the plane of the table, or whose height is unknown.
+    """
+
+    lower: np.ndarray
+    foreground: np.ndarray
+    standing: np.ndarray
+
+    @property
+    def things(self) -> np.ndarray:
+        """Centres (K, 2) [m] of the foreground that stands on the table."""
+        return self._centres(self.foreground & self.standing)
+
+    @property
+    def prints(self) -> np.ndarray:
+        """Centres (K, 2) [m] of the foreground that lies in the plane of the table."""
+        return self._centres(self.foreground & ~self.standing)
+
+    def stands_at(self, points: np.ndarray) -> np.ndarray:
+        """Return at which points (K, 2) [m] something stands; false beyond the map."""
+        cells = _cells_of(points, self.lower)
+        inside = np.all((cells >= 0) & (cells < self.standing.shape), axis=-1)
+        return inside & self.standing[tuple(np.where(inside[:, np.newaxis], cells, 0).T)]
+
+    def _centres(self, mask: np.ndarray) -> np.ndarray:
+        regions, count = ndimage.label(mask)
+        centres = [np.empty((0, 2))]
+        for region in range(1, count + 1):
+            cells = np.argwhere(regions == region)
+            if len(cells) >= _MIN_CELLS:
+                shift = MeanShift(bandwidth=_WIDTH / _CELL, bin_seeding=True).fit(cells)
+                centres.append(shift.cluster_centers_)
+        return self.lower + (np.concatenate(centres) + 0.5) * _CELL
+
+
+def map_foreground(states: np.ndarray, images: np.ndarray, background: Background, config: Config) -> ForegroundMap:
+    """Map everything that differs from the table, also at the border of the workspace.
+
+    Unlike the clusters of the conditional entropy, the map depends on images alone: it shows what the model should
+    find. With `fingerprint/prints`, what lies in the plane of the table is taken for standing too.
 
     Args:
         states: (N, 3) x [m], y [m], theta [rad].
@@ -40,13 +86,40 @@ def visible_things(states: np.ndarray, images: np.ndarray, background: Backgroun
         config: The run's configuration.
     """
     lower, salience = _mean_salience(states, images, background, config)
-    regions, count = ndimage.label(salience > _FOREGROUND)
-    centres = [np.empty((0, 2))]
-    for region in range(1, count + 1):
-        cells = np.argwhere(regions == region)
-        if len(cells) >= _MIN_CELLS:
-            centres.append(MeanShift(bandwidth=_WIDTH / _CELL).fit(cells).cluster_centers_)
-    return lower + (np.concatenate(centres) + 0.5) * _CELL
+    foreground = salience > _FOREGROUND
+    if config.fingerprint.prints:
+        return ForegroundMap(lower, foreground, np.ones_like(foreground))
+    return ForegroundMap(lower, foreground, _standing(lower, foreground, states, images, config))
+
+
+def _standing(
+    lower: np.ndarray, foreground: np.ndarray, states: np.ndarray, images: np.ndarray, config: Config
+) -> np.ndarray:
+    """Return the cells (X, Y) near what is raised above the table, and the foreground of unknown height.
+
+    The relief is measured where there is foreground. Cells beside raised ones count too, and those that they enclose:
+    plain surfaces of an object look alike in all images at any height. Where camera states do not fit the images by
+    more than a millimetre, parts of everything seem to be raised, so that nothing is lost.
+    """
+    raised, known = np.zeros_like(foreground), np.zeros_like(foreground)
+    tiles = np.unique((np.argwhere(foreground) + 0.5) * _CELL // TILE, axis=0)
+    workspace = config.workspace.box()
+    least, most = np.array(workspace.lower[:2]) - _OVERHANG, np.array(workspace.upper[:2]) + _OVERHANG
+    for place in np.clip(lower + (tiles + 0.5) * TILE, least, most):
+        relief = relief_at(place, states, images, config.camera)
+        if relief is None:
+            continue
+        cells = _cells_of(relief.points, lower)
+        inside = np.all((cells >= 0) & (cells < foreground.shape), axis=-1)
+        known[tuple(cells[inside].T)] = True
+        raised[tuple(cells[inside & relief.raised].T)] = True
+    near = ndimage.binary_dilation(raised | (foreground & ~known))
+    return np.asarray(ndimage.binary_fill_holes(near))
+
+
+def _cells_of(points: np.ndarray, lower: np.ndarray) -> np.ndarray:
+    """Cells (..., 2) that contain points (..., 2) [m]."""
+    return np.floor((points - lower) / _CELL).astype(int)
 
 
 def _mean_salience(
@@ -60,7 +133,7 @@ def _mean_salience(
     rows, columns = np.mgrid[0 : config.camera.height : _STRIDE, 0 : config.camera.width : _STRIDE]
     for index in spread_indices(len(images), _IMAGES):
         points = table_points(np.broadcast_to(states[index], (*rows.shape, 3)), rows, columns, config.camera)
-        cells = np.floor((points - lower) / _CELL).astype(int)
+        cells = _cells_of(points, lower)
         inside = np.all((cells >= 0) & (cells < shape), axis=-1)
         flat = np.ravel_multi_index(tuple(cells[inside].T), tuple(shape))
         salience = background.salience(images[index][::_STRIDE, ::_STRIDE])[inside]

@@ -8,7 +8,7 @@ from a known height, and camera states that fit the images.
 
 from __future__ import annotations
 
-from typing import List, NamedTuple, Optional
+from typing import List, NamedTuple, Optional, Sequence
 
 import cv2
 import numpy as np
@@ -22,7 +22,9 @@ _HEIGHTS = (0.0, 0.004, 0.008, 0.012, 0.016, 0.021, 0.028, 0.036, 0.046, 0.06)
 """Heights of the planes [m]."""
 _MIN_HEIGHT = 0.006
 """Height from which a part of the surroundings is raised [m]: below, pixels hardly move between images."""
-_RADIUS, _PIXEL = 0.027, 0.003
+TILE = 0.054
+"""Side of the surroundings that are measured [m]."""
+_RADIUS, _PIXEL = 0.5 * TILE, 0.003
 """Radius of the surroundings, and pixels of their rectified images [m]. Beyond, a neighbour may stand."""
 _IMAGES, _MIN_IMAGES = 24, 8
 """Images that are compared: at most, and at least."""
@@ -72,6 +74,11 @@ class Relief(NamedTuple):
         """Whether the surroundings lie in the plane of the table; false if the images do not fit each other so well."""
         return self.area < _MIN_AREA and bool(self.difference[_DISC].mean() < _EXPLAINED)
 
+    @property
+    def points(self) -> np.ndarray:
+        """Places (S, S, 2) [m] of the pixels."""
+        return _points_around(self.place)
+
     def is_flat_at(self, points: np.ndarray) -> bool:
         """Return whether points (K, 2) [m] lie in the plane of the table, as far as the map shows them."""
         columns, rows = np.rint((points - self.place + _RADIUS) / _PIXEL).astype(int).T
@@ -95,17 +102,18 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
     chosen = near[spread_indices(len(near), _IMAGES)]
     if len(chosen) < _MIN_IMAGES or np.hypot(*states[chosen, :2].std(axis=0)) < _MIN_SPREAD:
         return None
-    points = place + np.stack(np.meshgrid(_AXIS, _AXIS), axis=-1)
+    points = _points_around(place)
     smooth: List[np.ndarray] = [blurred(images[index], camera).astype(np.float32) for index in chosen]
     differences = np.empty((len(_HEIGHTS), len(_AXIS), len(_AXIS)))
     contrast = 0.0
     for index, height in enumerate(_HEIGHTS):
-        parts = [_rectified(image, state, points, height, camera) for image, state in zip(smooth, states[chosen])]
-        rectified = np.stack(parts)
-        unseen = np.isfinite(rectified[..., 0]).sum(axis=0) < _MIN_SEEN
+        rectified = _rectified(smooth, states[chosen], points, height, camera)
+        seen = np.isfinite(rectified[..., 0])
+        unseen = seen.sum(axis=0) < _MIN_SEEN
         rectified[:, unseen] = 0.0
-        median = np.nanmedian(rectified, axis=0)
-        change = np.nanmean(np.minimum(np.abs(rectified - median).sum(axis=-1), _MAX_DIFFERENCE), axis=0)
+        median = _median(rectified)
+        change = np.minimum(np.abs(rectified - median).sum(axis=-1), _MAX_DIFFERENCE)
+        change = np.where(seen, change, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
         change[unseen] = _MAX_DIFFERENCE if height else 0.0  # what is not seen at a height is not raised to it
         differences[index] = cv2.blur(change, (_SMOOTHING, _SMOOTHING))
         if index == 0:
@@ -115,17 +123,29 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
     return Relief(place, clear & (heights > _MIN_HEIGHT), differences[0] / max(contrast, 1.0))
 
 
+def _points_around(place: np.ndarray) -> np.ndarray:
+    return place + np.stack(np.meshgrid(_AXIS, _AXIS), axis=-1)
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """Median over the first axis without NaN, like np.nanmedian but several times faster."""
+    ordered = np.sort(values, axis=0)  # NaN come last
+    count = np.isfinite(values).sum(axis=0, keepdims=True)
+    lower, upper = (np.take_along_axis(ordered, middle, axis=0) for middle in ((count - 1) // 2, count // 2))
+    return np.asarray(0.5 * (lower + upper)[0])
+
+
 def _rectified(
-    image: np.ndarray, state: np.ndarray, points: np.ndarray, height: float, camera: CameraConfig
+    images: Sequence[np.ndarray], states: np.ndarray, points: np.ndarray, height: float, camera: CameraConfig
 ) -> np.ndarray:
-    """Colours (S, S, 3) of points (S, S, 2) at a height in an image, float32, from a state (3,); NaN out of view."""
-    on_table = state[:2] + (points - state[:2]) * (camera.distance / (camera.distance - height))
-    rows, columns = pixels_of(state, on_table, camera)
-    return cv2.remap(
-        image,
-        columns.astype(np.float32),
-        rows.astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(np.nan, np.nan, np.nan, 0.0),
+    """Colours (N, S, S, 3) of points (S, S, 2) at a height in images from states (N, 3), float32; NaN out of view."""
+    over = states[:, np.newaxis, np.newaxis]
+    on_table = over[..., :2] + (points - over[..., :2]) * (camera.distance / (camera.distance - height))
+    rows, columns = pixels_of(over, on_table, camera)
+    outside = (np.nan, np.nan, np.nan, 0.0)
+    return np.stack(
+        [
+            cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
+            for image, across, down in zip(images, columns.astype(np.float32), rows.astype(np.float32))
+        ]
     )

@@ -12,7 +12,7 @@ _MIN_STD = 2.0
 """Standard deviation [grey levels] added to the table's colour: that of a plain table may be zero."""
 _STRIDE = 6
 """Every how many pixels the table's colour is sampled."""
-_INLIERS = 0.9
+_INLIERS = 0.8
 """Share of the sampled pixels that the covariance is fitted to; the rest may belong to the edge of an object."""
 
 
