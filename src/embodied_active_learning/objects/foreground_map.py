@@ -30,6 +30,8 @@ _OVERHANG = 0.035
 """Largest distance of a tile's middle from the workspace [m]: few images show what is farther away."""
 _WIDTH = 0.045  # m
 """Bandwidth of mean shift, which separates things that touch."""
+_SEED_STRIDE = 4
+"""Mean shift starts from every fourth cell: from all of them it takes most of the time of a map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,7 @@ class ForegroundMap:
         for region in range(1, count + 1):
             cells = np.argwhere(regions == region)
             if len(cells) >= _MIN_CELLS:
-                shift = MeanShift(bandwidth=_WIDTH / _CELL, bin_seeding=True).fit(cells)
+                shift = MeanShift(bandwidth=_WIDTH / _CELL, seeds=cells[::_SEED_STRIDE]).fit(cells)
                 centres.append(shift.cluster_centers_)
         return self.lower + (np.concatenate(centres) + 0.5) * _CELL
 
