@@ -41,7 +41,11 @@ def main() -> None:
     for draw in (coverage, ergodicity, table1, pac_bayes):
         if (RESULTS / draw.__name__).is_dir():
             draw()
-    for draw_runs, sweep in ((learning_metrics, "learning_metrics"), (ablations, "ablations")):
+    for draw_runs, sweep in (
+        (learning_metrics, "learning_metrics"),
+        (ablations, "ablations"),
+        (curated_objects, "curated_objects"),
+    ):
         records = records_of(sweep)
         lines = draw_runs(records) if records else []
         replace_block(PAGE, sweep, [missing(sweep, records), *lines])
@@ -63,6 +67,11 @@ def ablations(records: List[Record]) -> List[str]:
     axes = {name: "step" if table == "exploration" else "update" for name, table in wanted.items()}
     draw_curves(IMAGES / "ablations.png", panels, axes)
     return ["", *group_table(groups, MEASURES), "", *run_table(records)]
+
+
+def curated_objects(records: List[Record]) -> List[str]:
+    """Return the table of all runs."""
+    return ["", *run_table(records)]
 
 
 def coverage() -> None:

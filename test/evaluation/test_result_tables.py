@@ -60,4 +60,8 @@ def test_block_is_replaced(tmp_path):
 
 def test_page_has_the_blocks_of_all_results(tmp_path):
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    assert [name for name in ("learning_metrics", "ablations", "coverage") if f"<!-- {name} -->" not in text] == []
+    assert [
+        name
+        for name in ("learning_metrics", "ablations", "curated_objects", "coverage")
+        if f"<!-- {name} -->" not in text
+    ] == []

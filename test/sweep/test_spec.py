@@ -88,3 +88,12 @@ def test_differences_ignore_what_depends_on_the_computer(tmp_path):
 def test_shipped_sweeps_are_valid():
     names = [load_sweep(path).name for path in sorted((ROOT / "experiments").glob("*.yaml"))]
     assert "learning_metrics" in names
+
+
+def test_world_is_relative_to_file_of_sweep(tmp_path):
+    (tmp_path / "worlds").mkdir()
+    world = tmp_path / "worlds" / "my_world.yaml"
+    world.write_text((ROOT / "worlds" / "right.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    run = load(tmp_path, SPEC.replace("[bottom, right]", "[worlds/my_world.yaml]")).runs[0]
+    assert run.name == "ergodic-my-world-seed4"
+    assert run.config().simulation.world == str(world)

@@ -50,7 +50,7 @@ class VariantSettings:
 class SweepSettings:
     """The keys of a sweep file."""
 
-    worlds: Tuple[str, ...] = required("names or files of worlds")
+    worlds: Tuple[str, ...] = required("names or files of worlds; files also relative to that of the sweep")
     seeds: Tuple[int, ...] = required("random seeds", "", low=0, high=2**31 - 1)
     variants: Dict[str, VariantSettings] = field(default_factory=lambda: {"run": VariantSettings()})
     profile: str = setting("default", "profile that all runs start from")
@@ -93,7 +93,7 @@ def load_sweep(path: Path) -> Sweep:
     for variant, own in settings.variants.items():
         for rank, seed in enumerate(own.seeds or settings.seeds):
             for world in own.worlds or settings.worlds:
-                runs.append((rank, _make_run(settings, variant, world, seed)))
+                runs.append((rank, _make_run(settings, variant, _beside(path, world), seed)))
     ordered = tuple(run for _, run in sorted(runs, key=lambda item: item[0]))
     names = [run.name for run in ordered]
     duplicate = next((name for name in names if names.count(name) > 1), "")
@@ -133,6 +133,12 @@ def portable_settings(config: Config) -> Dict[str, Dict[str, Any]]:
     del sections["session"]
     sections["simulation"]["world"] = Path(config.simulation.world).stem
     return sections
+
+
+def _beside(path: Path, world: str) -> str:
+    """Return the file of a world whose path is relative to that of the sweep; other worlds as they are."""
+    file = Path(path).resolve().parent / world
+    return str(file) if file.is_file() else world
 
 
 def _make_run(settings: SweepSettings, variant: str, world: str, seed: int) -> SweepRun:
