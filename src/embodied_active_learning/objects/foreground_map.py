@@ -26,7 +26,7 @@ _FOREGROUND = 0.5
 """Smallest mean salience of a thing. Textures of a table stay below it: they look alike everywhere."""
 _MIN_CELLS = 3
 _BLUR = 0.7  # cells
-_OVERHANG = 0.035
+_OVERHANG = 0.02
 """Largest distance of a tile's middle from the workspace [m]: few images show what is farther away."""
 _WIDTH = 0.045  # m
 """Bandwidth of mean shift, which separates things that touch."""
@@ -41,7 +41,7 @@ class ForegroundMap:
     Attributes:
         lower: (2,) lower corner of the grid [m].
         foreground: (X, Y) cells that differ from the table's colours in most images.
-        standing: (X, Y) cells that do not lie in the plane of the table, or whose height is unknown.
+        standing: (X, Y) cells that do not lie in the plane of the table, or of unknown height within the workspace.
     """
 
     lower: np.ndarray
@@ -97,7 +97,7 @@ def map_foreground(states: np.ndarray, images: np.ndarray, background: Backgroun
 def _standing(
     lower: np.ndarray, foreground: np.ndarray, states: np.ndarray, images: np.ndarray, config: Config
 ) -> np.ndarray:
-    """Return the cells (X, Y) near what is raised above the table, and the foreground of unknown height.
+    """Return the cells (X, Y) near what is raised above the table, and those of unknown height within the workspace.
 
     The relief is measured where there is foreground. Cells beside raised ones count too, and those that they enclose:
     plain surfaces of an object look alike in all images at any height. Where camera states do not fit the images by
@@ -115,7 +115,9 @@ def _standing(
         inside = np.all((cells >= 0) & (cells < foreground.shape), axis=-1)
         known[tuple(cells[inside].T)] = True
         raised[tuple(cells[inside & relief.raised].T)] = True
-    near = ndimage.binary_dilation(raised | (foreground & ~known))
+    cells = lower + (np.stack(np.indices(foreground.shape), axis=-1) + 0.5) * _CELL
+    within = np.all((cells > workspace.lower[:2]) & (cells < workspace.upper[:2]), axis=-1)
+    near = ndimage.binary_dilation(raised | (foreground & within & ~known))
     return np.asarray(ndimage.binary_fill_holes(near))
 
 
