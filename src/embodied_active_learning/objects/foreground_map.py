@@ -115,7 +115,7 @@ def _standing(
         inside = np.all((cells >= 0) & (cells < foreground.shape), axis=-1)
         known[tuple(cells[inside].T)] = True
         raised[tuple(cells[inside & relief.raised].T)] = True
-    cells = lower + (np.stack(np.indices(foreground.shape), axis=-1) + 0.5) * _CELL
+    cells = lower + (np.moveaxis(np.indices(foreground.shape), 0, -1) + 0.5) * _CELL
     within = np.all((cells > workspace.lower[:2]) & (cells < workspace.upper[:2]), axis=-1)
     near = ndimage.binary_dilation(raised | (foreground & within & ~known))
     return np.asarray(ndimage.binary_fill_holes(near))
