@@ -104,10 +104,11 @@ def _standing(
     more than a millimetre, parts of everything seem to be raised, so that nothing is lost.
     """
     raised, known = np.zeros_like(foreground), np.zeros_like(foreground)
+    box = config.workspace.box()
+    least, most = np.array(box.lower[:2]), np.array(box.upper[:2])
     tiles = np.unique((np.argwhere(foreground) + 0.5) * _CELL // TILE, axis=0)
-    workspace = config.workspace.box()
-    least, most = np.array(workspace.lower[:2]) - _OVERHANG, np.array(workspace.upper[:2]) + _OVERHANG
-    for place in np.clip(lower + (tiles + 0.5) * TILE, least, most):
+    places = np.clip(lower + (tiles + 0.5) * TILE, least - _OVERHANG, most + _OVERHANG)
+    for place in np.unique(places, axis=0):
         relief = relief_at(place, states, images, config.camera)
         if relief is None:
             continue
@@ -115,8 +116,8 @@ def _standing(
         inside = np.all((cells >= 0) & (cells < foreground.shape), axis=-1)
         known[tuple(cells[inside].T)] = True
         raised[tuple(cells[inside & relief.raised].T)] = True
-    cells = lower + (np.moveaxis(np.indices(foreground.shape), 0, -1) + 0.5) * _CELL
-    within = np.all((cells > workspace.lower[:2]) & (cells < workspace.upper[:2]), axis=-1)
+    middles = lower + (np.moveaxis(np.indices(foreground.shape), 0, -1) + 0.5) * _CELL
+    within = np.all((middles > least) & (middles < most), axis=-1)
     near = ndimage.binary_dilation(raised | (foreground & within & ~known))
     return np.asarray(ndimage.binary_fill_holes(near))
 
