@@ -72,7 +72,7 @@ def test_run_that_ends_early_is_a_shorter_run(tmp_path, monkeypatch):
     summary = read_summary(session.paths.summary)
     assert summary.ended == "objects stable"
     assert summary.steps == reports[-1].steps < STEPS
-    assert reports[-1].stopping.startswith("objects 1 for 4/4 checks")
+    assert reports[-1].stopping.startswith("objects 1 for 3/3 checks")
     again = learn(tiny(tmp_path, "fixed", steps=summary.steps))
     for name in ("exploration.csv", "training.csv"):
         assert (again.paths.path / name).read_bytes() == (session.paths.path / name).read_bytes(), name

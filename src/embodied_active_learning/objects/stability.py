@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model.verdict import NOTHING_TO_LEARN, OBJECTS_STABLE, USEFUL
 
-STABLE_CHECKS = 4
+STABLE_CHECKS = 3
 """Successive checks that must find the same objects."""
 EMPTY_CHECKS = 6
 """Successive checks that must find no object before there is nothing to learn: objects appear late on some tables."""
