@@ -71,8 +71,8 @@ class Clustering:
         flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
         clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
-        prints: (P, 2) [m] centres of what lies in the plane of the table, which is no object unless
-            `fingerprint/prints` is set.
+        prints: (P, 2) [m] centres of what lies in the plane of the table, which the clustering of table points leaves
+            out unless `fingerprint/prints` is set.
         things: (N, 2) [m] centres of all other visible things, whether or not the model has learned them.
         background: Colours of the table.
     """

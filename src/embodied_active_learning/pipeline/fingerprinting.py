@@ -89,7 +89,7 @@ class FingerprintRun:
         objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
         unreachable, prints = len(clustering.unreachable), len(clustering.prints)
         skipped = f"; skipped {unreachable} more that the camera cannot reach" if unreachable else ""
-        if prints:
+        if prints and self._config.fingerprint.clustering == "table":
             skipped += f"; skipped {prints} in the plane of the table (to keep them: fingerprint/prints)"
         return f"{objects} objects and a blank region: {contrast}{skipped}"
 
