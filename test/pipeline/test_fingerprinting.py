@@ -27,7 +27,10 @@ def test_summary_of_flat_entropy_names_remedy(flat):
     assert run.summary.startswith("0 objects") is not flat
 
 
-def test_summary_counts_prints():
+def test_summary_counts_prints_that_clustering_leaves_out():
     run = FingerprintRun.__new__(FingerprintRun)
     run.clustering = SimpleNamespace(flat=False, contrast=3.0, clusters=(), unreachable=(), prints=(None, None))
+    run._config = Config.from_dict({"fingerprint": {"clustering": "table"}})
     assert run.summary.endswith("; skipped 2 in the plane of the table (to keep them: fingerprint/prints)")
+    run._config = Config.from_dict({"fingerprint": {"clustering": "camera"}})
+    assert "skipped" not in run.summary
