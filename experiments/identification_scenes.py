@@ -221,7 +221,8 @@ def report(rows: Sequence[Dict[str, str]]) -> None:
     """Print hits, false claims and undecided shares with intervals over sessions, and location errors.
 
     In conditions with a learned table, an object counts as present for the fingerprints of the session that learned
-    that table. Fingerprints of no object and blanks have lines of their own.
+    that table. Several fingerprints of one kind and session count once where the kind is present, because only the most
+    similar one is found at a place. Fingerprints of no object and blanks have lines of their own.
     """
     print("\n| condition | rule | hits | undecided, present | false claims, absent | undecided, absent | error [cm] |")
     print("| --- " * 7 + "|")
@@ -236,12 +237,22 @@ def report(rows: Sequence[Dict[str, str]]) -> None:
 
 
 def _report_line(condition: str, rule: str, rows: Sequence[Dict[str, str]]) -> None:
-    there = [row for row in rows if row["present"] == "1" and _is_fair(row)]
+    there = _one_of_a_kind([row for row in rows if row["present"] == "1" and _is_fair(row)])
     absent = [row for row in rows if row["present"] == "0"]
     errors = [100.0 * float(row["error"]) for row in there if row["hit"] == "1" and row["kind"] != BLANK]
     cells = (share(there, "hit"), share(there, "undecided"), share(absent, "false_claim"), share(absent, "undecided"))
     if rows:
         print(f"| {condition} | {rule} | {' | '.join(cells)} | {f'{np.median(errors):.2f}' if errors else '-'} |")
+
+
+def _one_of_a_kind(rows: Sequence[Dict[str, str]]) -> List[Dict[str, str]]:
+    """Return one row of each kind that is present in a scene for a session: a hit if there is one, else undecided."""
+    best: Dict[Tuple[str, ...], Dict[str, str]] = {}
+    for row in rows:
+        key = tuple(row[name] for name in ("condition", "scene", "session", "kind"))
+        if key not in best or (row["hit"], row["undecided"]) > (best[key]["hit"], best[key]["undecided"]):
+            best[key] = row
+    return list(best.values())
 
 
 def _is_fair(row: Dict[str, str]) -> bool:
