@@ -1,6 +1,6 @@
 # make         install missing packages, build
 # make demo    learn, fingerprint and identify in PyBullet, headless, with the demo profile
-# make check   lint and unit tests in parallel, without a ROS master: about six minutes on two cores
+# make check   lint and unit tests in parallel, without a ROS master: four to six minutes on two cores
 # make test    make check, then the tests with nodes
 # make docs    generated files of docs/ and config/, and API pages in build/docs
 # make figures figures and tables of docs/results.md from experiments/results, in about a minute
