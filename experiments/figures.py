@@ -41,11 +41,8 @@ def main() -> None:
     for draw in (coverage, ergodicity, table1, pac_bayes):
         if (RESULTS / draw.__name__).is_dir():
             draw()
-    for draw_runs, sweep in (
-        (learning_metrics, "learning_metrics"),
-        (ablations, "ablations"),
-        (curated_objects, "curated_objects"),
-    ):
+    for draw_runs in (learning_metrics, ablations, curated_objects):
+        sweep = draw_runs.__name__
         records = records_of(sweep)
         lines = draw_runs(records) if records else []
         replace_block(PAGE, sweep, [missing(sweep, records), *lines])

@@ -31,6 +31,7 @@ from embodied_active_learning.objects.clustering import find_objects
 from embodied_active_learning.objects.report import SAME_PLACE
 from embodied_active_learning.objects.stability import StoppingCriterion
 from embodied_active_learning.pipeline.stopping import CHECK_EVERY, measure
+from embodied_active_learning.session.fingerprints import has_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tensor_files import read_tensors
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world, write_world
@@ -118,7 +119,7 @@ def store_fingerprints(session: Session, steps: int, root: Path) -> None:
         root: Folder of the shorter session.
     """
     name, training = f"{session.name}-{steps}", session.config.training
-    if (root / name / "fingerprints").exists():
+    if has_fingerprints(root / name):
         return
     shutil.rmtree(root / name, ignore_errors=True)
     updates = session.config.updates_planned
@@ -186,18 +187,19 @@ def main() -> None:
         count, seed = map(int, name.split("-"))
         world = world_file(root, count, seed, options.reserved)
         if not any(row["world"] == world.stem for row in read_rows(results / "stopping_checks.csv")):
-            rows = evaluate(learn(world, root, options.steps, options.stop))
+            session = learn(world, root, options.steps, options.stop)
+            rows = evaluate(session)
             append_rows(results / "stopping_objects.csv", OBJECTS, rows["objects"])
             append_rows(results / "stopping_checks.csv", CHECKS, rows["checks"])
             for row in rows["objects"]:
                 print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
-        session = Session.open_read_only(root / world.stem)
+            if not (options.keep or options.fingerprint):
+                shutil.rmtree(session.paths.checkpoints)
         if options.fingerprint:
+            session = learn(world, root, options.steps, options.stop)
             of_world = [row for row in read_rows(results / "stopping_objects.csv") if row["world"] == world.stem]
             for steps in sorted({int(row["steps"]) for row in of_world}):
                 store_fingerprints(session, steps, root)
-        elif not options.keep:
-            shutil.rmtree(session.paths.checkpoints, ignore_errors=True)
 
 
 if __name__ == "__main__":

@@ -281,7 +281,7 @@ def test_cluster_without_visible_thing_is_no_object(monkeypatch):
     monkeypatch.setattr(ForegroundMap, "things", things)
     found = cluster_table(TWO)
     assert_found(objects(found), TWO[:1])
-    np.testing.assert_array_equal(found.things, things)
+    np.testing.assert_array_equal(found.visible.things, things)
 
 
 @pytest.mark.parametrize("prints", [False, True])
@@ -295,7 +295,8 @@ def test_prints_are_objects_only_on_request(prints):
     states = random_states(config.workspace.box(), 300)
     images = paint(states, things, config.camera)
     found = find_objects(Entropy([thing.pose for thing in things]), states, images, config, 0)
-    of_print = np.hypot(*(found.things - things[1].pose[:2]).T) < 0.03
+    of_print = np.hypot(*(found.visible.things - things[1].pose[:2]).T) < 0.03
     assert of_print.any() == prints
     assert_found(objects(found), things if prints else things[:1], within=0.01)
-    assert len(found.prints) == (0 if prints else 1)
+    assert len(found.visible.prints) == (0 if prints else 1)
+    assert np.all(np.hypot(*(found.visible.prints - things[1].pose[:2]).T) < 0.005)

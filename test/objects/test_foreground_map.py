@@ -60,7 +60,7 @@ def test_place_of_unknown_height_is_a_thing():
 
 
 def test_wrong_states_do_not_hide_things():
-    """The images then fit no plane, so that prints are kept and things are not lost."""
+    """The images then fit no plane, so that parts of everything seem to be raised."""
     config = Config.from_dict({"camera": {"width": 90, "height": 90}})
     states = random_states(config.workspace.box(), 300)
     images = paint(states, [Thing(0, (0.44, 0.0, 0.5), 0.025, 0.03)], config.camera)

@@ -19,7 +19,7 @@ from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
-from embodied_active_learning.objects.foreground_map import map_foreground
+from embodied_active_learning.objects.foreground_map import ForegroundMap, map_foreground
 from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
@@ -71,9 +71,8 @@ class Clustering:
         flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
         clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
-        prints: (P, 2) [m] centres of what lies in the plane of the table, which the clustering of table points leaves
-            out unless `fingerprint/prints` is set.
-        things: (N, 2) [m] centres of all other visible things, whether or not the model has learned them.
+        visible: All visible things, whether or not the model has learned them, and prints, which the clustering of
+            table points leaves out.
         background: Colours of the table.
     """
 
@@ -81,8 +80,7 @@ class Clustering:
     flat: bool
     clusters: Tuple[Cluster, ...]
     unreachable: Tuple[Cluster, ...]
-    prints: np.ndarray
-    things: np.ndarray
+    visible: ForegroundMap
     background: Background
 
 
@@ -120,9 +118,8 @@ def find_objects(
     contrast = float(high / low)
     background = _background(model, latents, states, images)
     visible = map_foreground(states, images, background, config)
-    things = visible.things
     if contrast < settings.min_contrast:
-        return Clustering(contrast, True, (), (), visible.prints, things, background)
+        return Clustering(contrast, True, (), (), visible, background)
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
@@ -131,7 +128,7 @@ def find_objects(
         points, yaws = _foreground_points(samples, states, images, background, config, random)
         standing = visible.stands_at(points)
         clusters = _cluster(points[standing], yaws[standing], settings, workspace)
-        objects = [cluster for cluster in clusters if _is_near(things, cluster.centre, settings.merge_distance)]
+        objects = [cluster for cluster in clusters if _is_near(visible.things, cluster.centre, settings.merge_distance)]
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
     blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(
@@ -139,8 +136,7 @@ def find_objects(
         False,
         (*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
         tuple(cluster for cluster, within in zip(objects, reachable) if not within),
-        visible.prints,
-        things,
+        visible,
         background,
     )
 

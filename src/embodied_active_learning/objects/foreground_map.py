@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Tuple
 
 import numpy as np
@@ -48,7 +49,7 @@ class ForegroundMap:
     foreground: np.ndarray
     standing: np.ndarray
 
-    @property
+    @cached_property
     def things(self) -> np.ndarray:
         """Centres (K, 2) [m] of the foreground that stands on the table."""
         return self._centres(self.foreground & self.standing)

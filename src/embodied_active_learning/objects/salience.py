@@ -13,7 +13,7 @@ _MIN_STD = 2.0
 _STRIDE = 6
 """Every how many pixels the table's colour is sampled."""
 _INLIERS = 0.8
-"""Share of the sampled pixels that the covariance is fitted to; the rest may belong to the edge of an object."""
+"""Share of the sampled pixels that the covariance is fitted to; the rest may belong to prints or to an object."""
 
 
 class Background:

@@ -87,9 +87,10 @@ class FingerprintRun:
                 "(fingerprint/min_contrast); train longer, or put objects on the table"
             )
         objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
-        unreachable, prints = len(clustering.unreachable), len(clustering.prints)
+        unreachable = len(clustering.unreachable)
+        prints = len(clustering.visible.prints) if self._config.fingerprint.clustering == "table" else 0
         skipped = f"; skipped {unreachable} more that the camera cannot reach" if unreachable else ""
-        if prints and self._config.fingerprint.clustering == "table":
+        if prints:
             skipped += f"; skipped {prints} in the plane of the table (to keep them: fingerprint/prints)"
         return f"{objects} objects and a blank region: {contrast}{skipped}"
 

@@ -94,7 +94,7 @@ def measure(
     found = find_objects(model, states, images, reduced, config.exploration.seed, blank=False)
     objects = [cluster.centre[:2] for cluster in (*found.clusters, *found.unreachable)]
     centres: np.ndarray = np.array(objects, dtype=np.float64).reshape(-1, 2)
-    things = unexplained(_within_workspace(found.things, config), centres, settings.merge_distance)
+    things = unexplained(_within_workspace(found.visible.things, config), centres, settings.merge_distance)
     errors = ReconstructionErrors(evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none)
     return Measurement(
         update=evaluation.update,
