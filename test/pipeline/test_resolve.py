@@ -107,6 +107,7 @@ def test_robot_profile_in_simulation_is_rejected(tmp_path):
     ("robot", "bringup", "robot_ip", "expected"),
     [
         ("franka", "all", "", "robot_ip is missing"),
+        ("franka", "all", "172.16.0.2", "robot_profile is missing"),
         ("franka", "some", "172.16.0.2", "expected one of all, nodes, none"),
         ("recording", "all", "", "use bringup:=none"),
     ],
@@ -123,6 +124,11 @@ def test_invalid_bringup_is_rejected(tmp_path, robot, bringup, robot_ip, expecte
 )
 def test_address_is_required_only_to_connect(tmp_path, robot, bringup):
     check_bringup(resolve("demo", override(tmp_path, arm__robot=robot)), bringup, "")
+
+
+def test_connecting_with_a_robot_profile(tmp_path):
+    config = resolve("demo", override(tmp_path, arm__robot="franka"), "franka")
+    check_bringup(config, "all", "172.16.0.2", "panda", "lab.yaml")
 
 
 def test_other_arm_id_than_the_profile_is_rejected(tmp_path):

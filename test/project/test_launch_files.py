@@ -30,7 +30,7 @@ def test_arguments_are_documented(path):
         ("replay", {"bag"}),
         ("robot", set()),
         ("trainer_workers", set()),
-        ("two_machines", {"robot_host", "server_host", "robot_env", "server_env", "robot_ip"}),
+        ("two_machines", {"robot_host", "server_host", "robot_env", "server_env", "robot_ip", "robot_profile"}),
     ],
 )
 def test_roslaunch_lists_only_required_arguments_as_required(name, required):
@@ -68,8 +68,10 @@ def lab(tmp_path):
 
 
 def test_robot_launch_starts_controller_camera_and_no_other_commander(lab):
+    address = ("robot_ip:=172.16.0.2", "robot_profile:=franka")
+
     def roslaunch(option, *arguments):
-        command = ["roslaunch", option, "embodied_active_learning", "robot.launch", "robot_ip:=172.16.0.2", *arguments]
+        command = ["roslaunch", option, "embodied_active_learning", "robot.launch", *address, *arguments]
         return subprocess.run(command, env=lab, check=True, capture_output=True, text=True).stdout
 
     assert set(roslaunch("--nodes").split()) == {"/franka_control", "/usb_cam", "/franka_arm", "/camera_pipeline"}
@@ -92,7 +94,8 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
         "robot_env": "/env.sh",
         "server_env": "/env.sh",
         "robot_ip": "172.16.0.2",
-        "hardware": "false",
+        "bringup": "nodes",
+        "robot_profile": "franka",
         "trainers": "3",
         "session_root": tmp_path,
     }

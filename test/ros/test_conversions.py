@@ -12,6 +12,8 @@ from sensor_msgs import point_cloud2
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.ros import conversions, names
 from embodied_active_learning.ros.camera.pose_buffer import interpolate
+from embodied_active_learning.ros.objects.found_objects import pose_at
+from embodied_active_learning.ros.rviz.markers import OBJECT_COLOUR, disc_marker
 from embodied_active_learning.workspace import Workspace
 
 STAMP = rospy.Time(12, 345)
@@ -123,11 +125,25 @@ def test_state_interpolation_takes_shorter_rotation():
     np.testing.assert_allclose(velocity, [0.5, 0, 0])
 
 
-def test_frames_follow_arm_id():
-    names.use_arm_id("fr3")
-    try:
-        assert conversions.state_message(STAMP, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)).header.frame_id == "fr3_link0"
-        assert names.END_EFFECTOR_FRAME == "fr3_EE"
-    finally:
-        names.use_arm_id("panda")
-    assert conversions.state_message(STAMP, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)).header.frame_id == "panda_link0"
+@pytest.fixture
+def fr3():
+    """A robot whose base stands 5 cm above its table."""
+    names.use_robot("fr3", -0.05)
+    yield
+    names.use_robot("panda", 0.0)
+
+
+def test_frames_follow_arm_id(fr3):
+    assert conversions.state_message(STAMP, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)).header.frame_id == "fr3_link0"
+    assert names.END_EFFECTOR_FRAME == "fr3_EE"
+
+
+def test_heights_are_those_above_the_table(fr3):
+    state = (0.5, 0.0, 0.0)
+    assert pose_at(*state).position.z == -0.05
+    assert conversions.path_message(STAMP, np.array([state]), 0.3).poses[0].pose.position.z == 0.25
+    assert conversions.workspace_marker(Workspace(), 0.3).pose.position.z == -0.05
+    assert conversions.occupancy_grid_message(STAMP, np.ones((2, 2)), 0.4, 0.0, 0.1).info.origin.position.z == -0.05
+    assert disc_marker(STAMP, "discs", 0, np.array(state), OBJECT_COLOUR).pose.position.z == pytest.approx(-0.049)
+    cloud = conversions.cloud_message(STAMP, np.array([[0.5, 0.0, 0.01]]), np.ones(1))
+    assert np.frombuffer(cloud.data, "<f4")[2] == pytest.approx(-0.04)

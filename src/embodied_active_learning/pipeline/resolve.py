@@ -104,8 +104,12 @@ def unset_to_empty(value: str) -> str:
     return "" if value == UNSET else value
 
 
-def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "") -> None:
-    """Check the launch arguments about starting the arm. Raises ConfigError."""
+def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "", robot_profile: str = "") -> None:
+    """Check the launch arguments about starting the arm. Raises ConfigError.
+
+    A new session whose launch connects to a Panda needs a robot profile: the shipped one has the table at the height of
+    the base and no camera mount.
+    """
     if bringup not in BRINGUPS:
         raise ConfigError(f"bringup is {short_repr(bringup)}: expected one of {', '.join(BRINGUPS)}")
     if config.arm.robot == RECORDED and bringup != "none":
@@ -114,6 +118,11 @@ def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "")
         raise ConfigError(
             "robot_ip is missing: give the address of the Panda's controller, such as robot_ip:=172.16.0.2, or "
             "bringup:=nodes if franka_ros and the camera driver are running"
+        )
+    if config.arm.robot == FRANKA and bringup == "all" and not (unset_to_empty(robot_profile) or config.session.resume):
+        raise ConfigError(
+            "robot_profile is missing: copy config/franka.yaml, enter the height of your table and the mount of your "
+            "camera (docs/panda.md), and give robot_profile:=YOUR_FILE.yaml"
         )
     if config.arm.robot in REAL_ROBOTS and arm_id not in ("", config.franka.arm_id):
         raise ConfigError(

@@ -125,13 +125,16 @@ def path_message(stamp: rospy.Time, states: np.ndarray, height: float) -> Path:
 
 
 def _pose(state: Values, height: float) -> Pose:
+    """Pose in the base frame of a state at a height above the table [m]."""
     x, y, theta = map(float, state)
-    return Pose(Point(x, y, height), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)))
+    return Pose(
+        Point(x, y, names.TABLE_HEIGHT + height), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
+    )
 
 
 def cloud_message(stamp: rospy.Time, points: np.ndarray, values: np.ndarray) -> PointCloud2:
-    """Convert points (N, 3) [m] with values (N,) to a cloud with an intensity channel."""
-    data = np.column_stack([points, values]).astype("<f4")
+    """Convert points (N, 3) [m], z above the table, with values (N,) to a cloud with an intensity channel."""
+    data = np.column_stack([points + (0.0, 0.0, names.TABLE_HEIGHT), values]).astype("<f4")
     fields = [PointField(n, 4 * i, PointField.FLOAT32, 1) for i, n in enumerate(("x", "y", "z", "intensity"))]
     header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
     return PointCloud2(header, 1, len(data), fields, False, 16, 16 * len(data), data.tobytes(), True)
@@ -160,6 +163,7 @@ def workspace_marker(workspace: Workspace, height: float) -> Marker:
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     marker = Marker(type=Marker.LINE_LIST, action=Marker.ADD, ns="workspace")
     marker.header.frame_id = names.BASE_FRAME
+    marker.pose.position.z = names.TABLE_HEIGHT
     marker.pose.orientation.w = 1.0
     marker.scale.x = 0.002
     marker.color = ColorRGBA(0.1, 0.1, 0.1, 0.9)

@@ -87,13 +87,17 @@ STOPPED_BY = "~stopped_by"
 PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 
-# Of the robot with franka/arm_id "panda", see use_arm_id.
+# Of the simulated robot, see use_robot.
 BASE_FRAME = "panda_link0"
 END_EFFECTOR_FRAME = "panda_EE"  # of franka_state_controller
+TABLE_HEIGHT = 0.0  # m, of the table's surface in the base frame
 CAMERA_FRAME = "camera_optical_frame"
 
 
-def use_arm_id(arm_id: str) -> None:
-    """Use the frames of the robot with this prefix in the whole process; call it before any message is made."""
-    global BASE_FRAME, END_EFFECTOR_FRAME
-    BASE_FRAME, END_EFFECTOR_FRAME = f"{arm_id}_link0", f"{arm_id}_EE"
+def use_robot(arm_id: str, table_height: float) -> None:
+    """Use the frames of the robot with this prefix, and the height [m] of its table, in the whole process.
+
+    Call it before any message is made.
+    """
+    global BASE_FRAME, END_EFFECTOR_FRAME, TABLE_HEIGHT
+    BASE_FRAME, END_EFFECTOR_FRAME, TABLE_HEIGHT = f"{arm_id}_link0", f"{arm_id}_EE", table_height

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
+from embodied_active_learning.msg import IdentifyAction
+from embodied_active_learning.srv import Identify
 
 from embodied_active_learning.errors import TaskCancelledError
 from embodied_active_learning.ros.runtime import task_server
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
-from embodied_active_learning.ros.runtime.task_server import Caller, TaskProgress, is_connected
+from embodied_active_learning.ros.runtime.task_server import Caller, TaskProgress, TaskServer, is_connected
 
 
 def test_progress_sets_status_and_publishes():
@@ -42,6 +45,33 @@ def test_when_cancelled_calls_back_during_block_only():
     assert not called.is_set()
     with progress.when_cancelled(called.set):
         assert called.wait(60.0)
+
+
+def test_unexpected_error_aborts_the_goal(monkeypatch):
+    for name in ("advertise_service", "WallTimer"):
+        monkeypatch.setattr(task_server, name, lambda *_: SimpleNamespace(_handle_request=None))
+    actions = SimpleNamespace(start=lambda: None, status_timer=None, publish_status=None)
+    monkeypatch.setattr(task_server.actionlib, "ActionServer", lambda *_, **__: actions)
+    monkeypatch.setattr(task_server.rospy, "Subscriber", lambda *_, **__: None)
+
+    def fail(goal, progress):
+        raise MemoryError("no memory left")
+
+    server = TaskServer("identify", Identify, IdentifyAction, ExclusiveTask("an identification"), fail)
+    aborted, ended = [], threading.Event()
+
+    def set_aborted(result, text):
+        aborted.append((result.message, text))
+        ended.set()
+
+    goal_id = SimpleNamespace(id="goal")
+    server._accept(
+        SimpleNamespace(
+            get_goal_id=lambda: goal_id, get_goal=lambda: None, set_accepted=lambda: None, set_aborted=set_aborted
+        )
+    )
+    assert ended.wait(60.0)
+    assert aborted == [("MemoryError('no memory left')",) * 2]
 
 
 def test_connection_is_lost_when_caller_closes():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Sequence
+from typing import Any, Callable, Sequence
 
 import rospy
 from std_srvs.srv import Trigger
@@ -37,9 +37,10 @@ class ArmClient:
         """Whether the arm is simulated and can return to earlier states; known once `wait` has returned."""
         return self._can_restore
 
-    def wait(self) -> None:
-        """Wait until the arm offers its services. Raises ShutdownRequestedError."""
-        wait_until(lambda: _is_available(self._move), lambda: f"the arm ({self._move.resolved_name})", period=0.2)
+    def wait(self, check: Callable[[], None] = lambda: None) -> None:
+        """Wait until the arm offers its services; check() gives up by raising. Raises ShutdownRequestedError."""
+        arm = f"the arm ({self._move.resolved_name})"
+        wait_until(lambda: _is_available(self._move), lambda: arm, period=0.2, check=check)
         self._can_restore = is_advertised(names.ARM_RESTORE)
 
     def move(self, velocity: Sequence[float], duration: float) -> PlanarState:

@@ -6,7 +6,7 @@ import threading
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import replace
-from typing import NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Callable, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 import rospy
@@ -114,10 +114,13 @@ class RetryingArm:
         """Whether commands are held back."""
         return not self._running.is_set()
 
-    def wait(self) -> None:
-        """Wait for the arm's services, images and states. Raises ShutdownRequestedError."""
-        self._arm.wait()
-        wait_until(lambda: self._camera.connected, lambda: "publishers of images and arm states")
+    def wait(self, check: Callable[[], None] = lambda: None) -> None:
+        """Wait for the arm's services, images and states; check() gives up by raising.
+
+        Raises ShutdownRequestedError.
+        """
+        self._arm.wait(check)
+        wait_until(lambda: self._camera.connected, lambda: "publishers of images and arm states", check=check)
 
     def observe(self, reached: PlanarState) -> Tuple[Image, PlanarState]:
         """Return the first image since a state was reached, as published, and the state it was taken from.

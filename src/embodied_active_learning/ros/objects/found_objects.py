@@ -51,7 +51,7 @@ def pose_message(decision: Decision) -> Pose:
 
 def pose_at(x: float, y: float, theta: float = 0.0) -> Pose:
     """Return a pose on the table, x [m], y [m], theta [rad]."""
-    return Pose(Point(x, y, 0.0), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)))
+    return Pose(Point(x, y, names.TABLE_HEIGHT), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)))
 
 
 def frame_message(header: Header, decision: Decision) -> TransformStamped:

@@ -14,7 +14,6 @@ from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.retrying_arm import RetryingArm
 from embodied_active_learning.ros.planner.pause import PlannerPause
 from embodied_active_learning.ros.runtime.diagnostics import Health
-from embodied_active_learning.ros.runtime.node import wall_sleep
 from embodied_active_learning.ros.runtime.services import is_advertised
 from embodied_active_learning.ros.runtime.task_server import TaskProgress
 
@@ -44,7 +43,7 @@ class TaskArm:
             TaskCancelledError: If the task was cancelled. The arm stops during the command in progress.
         """
         progress.report("waiting for the arm")
-        arm = self._available_arm()
+        arm = self._available_arm(progress)
         try:
             with self.planner_pause.paused(), progress.when_cancelled(arm.cancel):
                 try:
@@ -55,16 +54,21 @@ class TaskArm:
             progress.check()  # the error may result from the cancelled command
             raise
 
-    def _available_arm(self) -> RetryingArm:
-        """Return the arm as soon as it is running."""
-        give_up_at = time.monotonic() + TIMEOUT
-        while not is_advertised(names.ARM_MOVE):
-            if time.monotonic() >= give_up_at:
-                raise CommandError(f"no arm: {rospy.resolve_name(names.ARM_MOVE)} is not advertised; start the arm")
-            wall_sleep(0.2)
+    def _available_arm(self, progress: TaskProgress) -> RetryingArm:
+        """Return the arm as soon as arm and camera are running."""
         if self._arm is None:
             self._arm = RetryingArm(self._config, TIMEOUT)
-            self._arm.wait()
+        give_up_at = time.monotonic() + TIMEOUT
+
+        def check() -> None:
+            progress.check()
+            if time.monotonic() < give_up_at:
+                return
+            if is_advertised(names.ARM_MOVE):
+                raise CommandError(f"no images: {rospy.resolve_name(names.CAMERA_IMAGE)} is not published")
+            raise CommandError(f"no arm: {rospy.resolve_name(names.ARM_MOVE)} is not advertised; start the arm")
+
+        self._arm.wait(check)
         return self._arm
 
 

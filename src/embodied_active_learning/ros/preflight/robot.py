@@ -25,7 +25,7 @@ _BORDER_TOLERANCE = 1e-3  # m, rad: an arm that rests at the border counts as in
 _MODE_REMEDIES = {
     "user stopped": "release the user stop, then rosservice call /arm/recover",
     "reflex": "remove what the arm has touched, then rosservice call /arm/recover",
-    "guiding": "release the guiding buttons of the hand",
+    "guiding": "release the guiding buttons of the hand, then rosservice call /arm/recover",
 }
 
 

@@ -70,7 +70,7 @@ def _run(
             wait_for_clock()
         config = read_config()
         if config.arm.robot != SIMULATED:
-            names.use_arm_id(config.franka.arm_id)
+            names.use_robot(config.franka.arm_id, config.franka.table_height)
         body(config)
         if always_required and not is_shutting_down():
             rospy.loginfo("finished; roslaunch now reports this node in red as a required process that has died")
@@ -121,15 +121,27 @@ def read_config() -> Config:
     return Config.from_dict(values)
 
 
-def wait_until(condition: Callable[[], bool], waiting_for: Callable[[], str], period: float = 0.02) -> None:
+def wait_until(
+    condition: Callable[[], bool],
+    waiting_for: Callable[[], str],
+    period: float = 0.02,
+    check: Callable[[], None] = lambda: None,
+) -> None:
     """Return once the condition holds; log what it waits for.
 
     Polls on wall time, because simulated time stands still between commands. Raises ShutdownRequestedError.
+
+    Args:
+        condition: What is waited for.
+        waiting_for: Returns its description.
+        period: Wall seconds between two checks.
+        check: Called while waiting; gives up by raising an error.
     """
     with log_wait(waiting_for, delay=1.0):
         while not condition():
             if rospy.is_shutdown():
                 raise ShutdownRequestedError
+            check()
             time.sleep(period)
 
 

@@ -41,5 +41,5 @@ def require_unused_names(nodes: Sequence[str]) -> None:
         where = f"process {pid} on {urlparse(uri).hostname}, session {session_name or '-'}"
         raise BusyError(
             f"node {name} is already running ({where}): wait until that run has ended, or start this one with another "
-            "ROS_NAMESPACE or ROS_MASTER_URI"
+            "ROS_NAMESPACE or ROS_MASTER_URI; with a running robot.launch, use bringup:=none"
         )

@@ -10,6 +10,7 @@ import select
 import socket
 import threading
 import time
+import traceback
 from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator
 
@@ -167,6 +168,11 @@ class TaskServer:
             handle.set_aborted(make_result(message=str(error)), str(error))
         except ShutdownRequestedError:
             handle.set_aborted(make_result(message="the node is shutting down"), "the node is shutting down")
+        except Exception as error:  # else the goal would stay active for ever
+            rospy.logerr(
+                "%s failed: %s", identifier, "".join(traceback.format_exception(None, error, error.__traceback__))
+            )
+            handle.set_aborted(make_result(message=repr(error)), repr(error))
         finally:
             del self._cancelled[identifier]
 

@@ -42,14 +42,15 @@ def label_marker(
 def marker(
     stamp: rospy.Time, namespace: str, number: int, kind: int, position: Point, size: Vector3, colour: ColorRGBA
 ) -> Marker:
-    """Return a marker in the base frame without rotation."""
+    """Return a marker without rotation, at a position relative to the base in x and y and to the table in z [m]."""
+    above_base = Point(position.x, position.y, position.z + names.TABLE_HEIGHT)
     return Marker(
         header=Header(stamp=stamp, frame_id=names.BASE_FRAME),
         ns=namespace,
         id=number,
         type=kind,
         action=Marker.ADD,
-        pose=Pose(position, Quaternion(0.0, 0.0, 0.0, 1.0)),
+        pose=Pose(above_base, Quaternion(0.0, 0.0, 0.0, 1.0)),
         scale=size,
         color=colour,
     )
