@@ -134,7 +134,7 @@ def _pose(state: Values, height: float) -> Pose:
 
 def cloud_message(stamp: rospy.Time, points: np.ndarray, values: np.ndarray) -> PointCloud2:
     """Convert points (N, 3) [m], z above the table, with values (N,) to a cloud with an intensity channel."""
-    data = np.column_stack([points + (0.0, 0.0, names.TABLE_HEIGHT), values]).astype("<f4")
+    data = np.column_stack([points + np.array([0.0, 0.0, names.TABLE_HEIGHT]), values]).astype("<f4")
     fields = [PointField(n, 4 * i, PointField.FLOAT32, 1) for i, n in enumerate(("x", "y", "z", "intensity"))]
     header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
     return PointCloud2(header, 1, len(data), fields, False, 16, 16 * len(data), data.tobytes(), True)

@@ -28,7 +28,7 @@ class WaitingArm:
 @pytest.fixture
 def arm(monkeypatch):
     monkeypatch.setattr(task_arm, "RetryingArm", WaitingArm)
-    monkeypatch.setattr(task_arm, "PlannerPause", lambda: SimpleNamespace())
+    monkeypatch.setattr(task_arm, "PlannerPause", SimpleNamespace)
     monkeypatch.setattr(task_arm, "TIMEOUT", 0.0)
     return TaskArm(Config())
 

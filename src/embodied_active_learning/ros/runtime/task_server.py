@@ -169,9 +169,7 @@ class TaskServer:
         except ShutdownRequestedError:
             handle.set_aborted(make_result(message="the node is shutting down"), "the node is shutting down")
         except Exception as error:  # else the goal would stay active for ever
-            rospy.logerr(
-                "%s failed: %s", identifier, "".join(traceback.format_exception(None, error, error.__traceback__))
-            )
+            rospy.logerr("%s failed: %s", identifier, traceback.format_exc())
             handle.set_aborted(make_result(message=repr(error)), repr(error))
         finally:
             del self._cancelled[identifier]
