@@ -111,7 +111,7 @@ class TrainingConfig:
 class ExplorationConfig:
     """The exploration, and the samples that measure coverage."""
 
-    explorer: str = setting("ergodic", "exploration strategy", choices=EXPLORERS)
+    explorer: str = setting("ergodic", "exploration strategy, or module:Class", choices=EXPLORERS)
     measure: str = setting("conditional_entropy", "information measure that becomes the target", choices=MEASURES)
     steps: int = setting(
         3000, "exploration steps, one observation each; an upper limit with stop: stable", "", 1, 1000000
@@ -244,8 +244,10 @@ class IdentificationConfig:
         39, "simulated places and look-alikes from which a fingerprint sets its limits when it is made", "", 1, 10000
     )
     view_distance: float = setting(0.045, "largest distance of a compared view from the candidate", "m", 0.005, 0.5)
-    views: int = setting(5, "largest number of compared views of a candidate", "", 2, 1000)
-    min_coverage: float = setting(0.95, "share of the workspace to be seen before an object is not here", "", 0.0, 1.0)
+    views: int = setting(5, "largest number of compared views of a candidate", "", 3, 1000)
+    min_coverage: float = setting(
+        0.95, "share of the workspace that must be seen before an object is reported as absent", "", 0.0, 1.0
+    )
     stop_when_decided: bool = setting(
         True, "process no more images once every fingerprint is decided (decision verified only)"
     )

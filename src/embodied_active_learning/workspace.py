@@ -11,6 +11,7 @@ from embodied_active_learning.errors import ConfigError
 
 STATE_NAMES = ("x", "y", "theta")
 States = Union[np.ndarray, Sequence[float]]
+_FULL_TURNS = np.array([[0.0, 0.0, turn] for turn in (0.0, -2.0 * np.pi, 2.0 * np.pi)])
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,13 @@ class Workspace:
             (...) booleans.
         """
         return np.all(np.abs(self.normalise(states)) <= 1.0 + tolerance, axis=-1)
+
+    def nearest(self, states: States) -> np.ndarray:
+        """Like clip, but a yaw may first change by a full turn, which is the same pose. (..., 3) -> (..., 3)."""
+        turned = np.asarray(states, dtype=np.float64)[..., np.newaxis, :] + _FULL_TURNS
+        clipped = self.clip(turned)
+        best = np.abs(clipped - turned)[..., 2].argmin(axis=-1)[..., np.newaxis, np.newaxis]
+        return np.take_along_axis(clipped, best, axis=-2)[..., 0, :]
 
     def clip(self, states: States) -> np.ndarray:
         """Move states to the nearest point of the box. (..., D) SI units -> (..., D)."""

@@ -33,6 +33,14 @@ def test_clipped_states_are_inside(states):
     assert np.all(workspace.contains(workspace.clip(states), tolerance=1e-12))
 
 
+@pytest.mark.parametrize(
+    ("yaw", "expected"), [(1.0, 1.0), (-3.0, 3.0), (6.0, 0.0), (-0.2, 0.0), (7.0, 7.0 - 2.0 * np.pi)]
+)
+def test_nearest_state_may_differ_by_a_full_turn(yaw, expected):
+    workspace = Workspace((0.3, -0.1, 0.0), (0.6, 0.1, 3.0))
+    np.testing.assert_allclose(workspace.nearest([[0.7, 0.0, yaw]]), [[0.6, 0.0, expected]])
+
+
 def test_nan_is_outside():
     assert not Workspace().contains([np.nan, 0.0, 0.0])
 

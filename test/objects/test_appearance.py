@@ -14,7 +14,7 @@ from embodied_active_learning.objects import colours
 from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.calibration import calibrate
-from embodied_active_learning.objects.colours import colour_distance, colour_features
+from embodied_active_learning.objects.colours import balance_slopes, balanced, colour_distance, colour_features
 from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.pose_search import best_pose, propose, refine
@@ -69,6 +69,35 @@ def test_object_points_are_placed_by_pose():
     placed = place(points, np.array([[0.5, 0.1, np.pi / 2]]))
     np.testing.assert_allclose(placed, [[[0.5, 0.12], [0.49, 0.1]]], atol=1e-6)
     np.testing.assert_allclose(relative_positions(placed[0], np.array([0.5, 0.1, np.pi / 2])), points, atol=1e-6)
+
+
+def test_white_balance_changes_features_as_it_changes_images():
+    colours, gains = np.array([[200, 100, 40], [90, 180, 60], [120, 120, 120]], np.uint8), np.array([1.1, 1.0, 0.9])
+    changed = colour_features(np.rint(colours * gains).astype(np.uint8))
+    np.testing.assert_allclose(balanced(colour_features(colours), np.log(gains)), changed, atol=0.02)
+
+
+def test_balance_slopes_are_derivatives():
+    features, step = colour_features(np.array([[200, 100, 40], [20, 60, 230]], np.uint8)).astype(float), 1e-5
+    slopes = balance_slopes(features)
+    for channel in range(2):
+        gains = step * np.eye(3)[channel]
+        change = (balanced(features, gains) - balanced(features, -gains))[:, 1:] / (2.0 * step)
+        np.testing.assert_allclose(slopes[:, :, channel], change, atol=0.05)
+
+
+@pytest.mark.parametrize(("gains", "is_explained"), [((1.1, 1.0, 0.9), True), ((1.0, 1.0, 0.3), False)])
+def test_white_balance_does_not_explain_a_missing_channel(appearance, gains, is_explained):
+    """A red thing has little blue, and whether it lacks that too must count."""
+    states = np.add(PLACE, np.zeros((5, 3)))
+    images = paint(states, (RED._replace(pose=PLACE),), CAMERA)
+    changed = np.minimum(images * np.array(gains), 255.0).astype(np.uint8)
+    poses = np.array([PLACE])
+    as_is, other = (
+        similarity(appearance, SceneViews(states, part, CAMERA), [0], [appearance.central_view], poses)[0]
+        for part in (images, changed)
+    )
+    assert (other > 0.9 * as_is) == is_explained
 
 
 def test_brightness_changes_only_luminance_feature():

@@ -38,8 +38,8 @@ MEASUREMENTS = st.lists(
 )
 
 
-def make_grid(**values):
-    return BeliefGrid(WORKSPACE, replace(SETTINGS, **values))
+def make_grid(workspace=WORKSPACE, **values):
+    return BeliefGrid(workspace, replace(SETTINGS, **values))
 
 
 def measure(grid, *measurements):
@@ -310,6 +310,12 @@ def test_peaks_exclude_margin():
     found = grid.peaks(0.06, 100)
     assert all(WORKSPACE.contains([*pose[:2], 0.0]) for pose, _, _, _ in found)
     assert found[0][0][:2] == pytest.approx((0.45, 0.1), abs=0.006)
+
+
+def test_peaks_are_found_where_the_workspace_lacks_yaw_0():
+    workspace = Workspace((0.325, -0.15, 0.5), (0.625, 0.15, 2.5))
+    grid = measure(make_grid(cells=(40, 40, 18), workspace=workspace), ((0.45, 0.1, 1.0), 0.8))
+    assert grid.peaks(0.06, 1)[0].pose[:2] == pytest.approx((0.45, 0.1), abs=0.006)
 
 
 def test_peak_at_workspace_border_is_found():

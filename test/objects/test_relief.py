@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import CameraConfig, Config
 from embodied_active_learning.objects.relief import relief_at
 from painted_table import Thing, paint
 
@@ -43,6 +43,14 @@ def test_wrong_states_do_not_make_things_flat():
     images = paint(states, [Thing(0, (*PLACE, 0.4))], CONFIG.camera)
     wrong = states + np.random.default_rng(1).normal(0.0, (0.006, 0.006, 0.05), states.shape)
     assert not relief_at(PLACE, wrong, images, CONFIG.camera).flat
+
+
+def test_low_camera_measures_lower_planes():
+    camera = CameraConfig(width=90, height=90, distance=0.05)
+    states = near_states(24)
+    found = relief_at(PLACE, states, paint(states, [], camera), camera)
+    assert found is not None
+    assert not found.raised.any()
 
 
 def test_relief_needs_eight_images_of_the_place():

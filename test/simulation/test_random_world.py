@@ -48,6 +48,9 @@ def test_random_world_follows_from_its_arguments():
 def test_impossible_random_world_is_rejected(tmp_path):
     with pytest.raises(WorldError, match=r"no room for 20 objects 0.1 m apart"):
         random_world(0, count=20)
+    every = [f"random_urdfs/{number:03d}" for number in range(1000)]
+    with pytest.raises(WorldError, match="0 of 1 procedural objects are left"):
+        random_world(0, count=0, kinds=every, distractors=1)
     with pytest.raises(WorldError, match="unknown kind 'cat'"):
         random_world(0, kinds=("cat",))
     write_world(random_world(0), tmp_path / "mine.yaml")

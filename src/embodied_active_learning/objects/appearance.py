@@ -180,7 +180,7 @@ def sample_image(
 ) -> Tuple[np.ndarray, np.ndarray]:
     """Colours (..., 3) uint8 of an image from a state (3,) at points (..., 2) of the table, and which are in view."""
     rows, columns = pixels_of(state.astype(np.float32), points, camera)
-    rows, columns = (rows + 0.5).astype(np.int32), (columns + 0.5).astype(np.int32)
+    rows, columns = (np.floor(axis + 0.5).astype(np.int32) for axis in (rows, columns))
     valid = (rows >= 0) & (columns >= 0) & (rows < camera.height) & (columns < camera.width)
     return image.reshape(-1, 3)[np.where(valid, rows * camera.width + columns, 0)], valid
 

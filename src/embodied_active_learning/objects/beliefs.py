@@ -112,9 +112,8 @@ class BeliefGrid:
             most: Largest number of peaks.
         """
         mean = self.mean
-        inside = self._workspace.contains(
-            np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), 0.0 * mean[..., 0]], -1)
-        )
+        any_yaw = np.full(mean.shape[:2], self._workspace.centre[2])
+        inside = self._workspace.contains(np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), any_yaw], -1))
         highest = np.where(inside, mean.max(axis=2), -1.0)
         spacing = (self.x[1] - self.x[0], self.y[1] - self.y[0])
         size = [2 * max(1, int(0.5 * distance / step)) + 1 for step in spacing]

@@ -1,8 +1,8 @@
 """Colour features that change little with the light, and the colours of the table.
 
 A feature is (log luminance, red and green share of the colour). A change of brightness adds a constant to the first
-component and leaves the others, so light can be corrected where images are compared. Shares are multiplied by three:
-a small relative change of one channel is then about as large in either kind of component.
+component and leaves the others, so light can be corrected where images are compared; so can the white balance. Shares
+are multiplied by three: a small relative change of one channel is then about as large in either kind of component.
 """
 
 from __future__ import annotations
@@ -52,6 +52,26 @@ def colour_distance(change: np.ndarray) -> np.ndarray:
     """Squared distance (...) of the three shares, given the change of red and green (..., 2): blue is the rest."""
     red, green = change[..., 0], change[..., 1]
     return red**2 + green**2 + (red + green) ** 2
+
+
+def balanced(features: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """Return features (..., 3) under another white balance: log gains (3,) of red, green and blue."""
+    red, green = features[..., 1], features[..., 2]
+    scaled = np.stack([red, green, 3.0 - red - green], axis=-1) * np.exp(gains)
+    total = scaled.sum(axis=-1) / 3.0
+    shares = scaled[..., :2] / total[..., None]
+    return np.stack([features[..., 0] + np.log(total), shares[..., 0], shares[..., 1]], axis=-1)
+
+
+def balance_slopes(features: np.ndarray) -> np.ndarray:
+    """Return the change (..., 2, 2) of the red and green shares of features (..., 3) with the white balance.
+
+    It is per log gain of red and of green relative to blue. White balance multiplies channels, so it moves the share of
+    a channel that is already dark little.
+    """
+    shares = features[..., 1:]
+    diagonal = shares[..., None] * np.eye(2, dtype=np.float32)
+    return np.asarray(diagonal - shares[..., :, None] * shares[..., None, :] / 3.0)
 
 
 class TableColours:

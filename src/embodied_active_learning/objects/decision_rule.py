@@ -118,7 +118,7 @@ class DecisionRule:
     ) -> Decision:
         """Decide at a candidate pose, given why absence cannot be stated and the share of the scene in its colours."""
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
-        clearly_below = -1.0 < value < _CLEARLY_BELOW * limits.miss
+        clearly_below = -1.0 < value < min(_CLEARLY_BELOW * limits.miss, limits.miss)
         if candidate.near < MIN_VIEWS and not clearly_below:
             outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
         elif value >= limits.miss and target.has_height and _is_flat(target, views, candidate.pose):

@@ -22,7 +22,7 @@ import numpy as np
 
 from embodied_active_learning.errors import ObservationError
 
-RULES = 4
+RULES = 5
 """Version of similarity and calibration: stored limits of another version do not apply."""
 
 
@@ -66,6 +66,11 @@ class Calibration:
             fits = values.dtype == np.float64 and values.ndim == 1 and len(values) > 0
             if not fits or not (np.abs(values) <= 1.0).all() or (np.diff(values) < 0.0).any():
                 raise ObservationError("invalid calibration: expected ascending float64 similarities in [-1, 1]")
+
+    @property
+    def smallest_error_rate(self) -> float:
+        """Error rate below which too few places were simulated: no similarity would be low enough for absence."""
+        return 1.0 / (len(self.true) + 1)
 
     def limits(self, error_rate: float) -> Limits:
         """Return the limits at an accepted rate of errors."""

@@ -20,6 +20,8 @@ from embodied_active_learning.objects.colours import blurred
 
 _HEIGHTS = (0.0, 0.004, 0.008, 0.012, 0.016, 0.021, 0.028, 0.036, 0.046, 0.06)
 """Heights of the planes [m]."""
+_MAX_HEIGHT = 0.6
+"""Highest plane, relative to the height of the camera: above it, neighbouring images hardly show the same points."""
 _MIN_HEIGHT = 0.006
 """Height from which a part of the surroundings is raised [m]: below, pixels hardly move between images."""
 TILE = 0.054
@@ -104,9 +106,10 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
         return None
     points = _points_around(place)
     smooth: List[np.ndarray] = [blurred(images[index], camera).astype(np.float32) for index in chosen]
-    differences = np.empty((len(_HEIGHTS), len(_AXIS), len(_AXIS)))
+    planes = [height for height in _HEIGHTS if height < _MAX_HEIGHT * camera.distance]
+    differences = np.empty((len(planes), len(_AXIS), len(_AXIS)))
     contrast = 0.0
-    for index, height in enumerate(_HEIGHTS):
+    for index, height in enumerate(planes):
         rectified = _rectified(smooth, states[chosen], points, height, camera)
         seen = np.isfinite(rectified[..., 0])
         unseen = seen.sum(axis=0) < _MIN_SEEN
@@ -118,7 +121,7 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
         differences[index] = cv2.blur(change, (_SMOOTHING, _SMOOTHING))
         if index == 0:
             contrast = float(np.abs(median - np.median(median, axis=(0, 1))).sum(axis=-1).mean())
-    heights = np.array(_HEIGHTS)[differences.argmin(axis=0)]
+    heights = np.array(planes)[differences.argmin(axis=0)]
     clear = differences[0] + _NOISE > _RATIO * (differences.min(axis=0) + _NOISE)
     return Relief(place, clear & (heights > _MIN_HEIGHT), differences[0] / max(contrast, 1.0))
 

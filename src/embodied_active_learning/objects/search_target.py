@@ -63,7 +63,15 @@ class SearchTarget:
     @property
     def problem(self) -> str:
         """Why an object cannot be recognised, and the remedy; empty if it can, and of a blank."""
-        return self.appearance.problem if self.fingerprint.kind == OBJECT else ""
+        if self.fingerprint.kind != OBJECT or self.appearance.problem:
+            return "" if self.fingerprint.kind != OBJECT else self.appearance.problem
+        rate, smallest = self._settings.error_rate, self.calibration.smallest_error_rate
+        if rate >= smallest:
+            return ""
+        return (
+            f"its limits hold for error rates from {smallest:.3g} on, not {rate:g}: raise identification/trials and "
+            "call /fingerprint again"
+        )
 
     @property
     def needs_calibration(self) -> bool:

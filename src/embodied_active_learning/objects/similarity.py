@@ -3,7 +3,7 @@
 The similarity is the mean match of the object's points minus that of the ring around it: 1 if the object is there and
 contrasts with the table, about 0 on anything else, including a larger surface of the same colour. A match falls from 1
 to 0 with the squared difference of features, so single pixels (highlights, an occlusion) have little weight. Light is
-corrected by a gain, a gradient of the gain and a small shift of the colour balance, fitted to the object's points.
+corrected by a gain, a gradient of the gain and a white balance, fitted to the object's points.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, Sequence, Tuple, Union
 import numpy as np
 
 from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
-from embodied_active_learning.objects.colours import colour_distance
+from embodied_active_learning.objects.colours import balance_slopes, colour_distance
 
 Indices = Union[Sequence[int], np.ndarray]
 LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
@@ -27,8 +27,10 @@ _GRADIENT = 0.3
 """Limit of its change per 5 cm."""
 _GRADIENT_UNIT = 0.05
 _GRADIENT_PRIOR = 12.0
-_BALANCE = 0.1
-"""Limit of the shift of red and green shares."""
+_BALANCE = 0.26
+"""Limit of the white balance: largest difference between the log gains of two channels."""
+_BALANCE_PRIOR = 0.01
+"""Weight of no change, relative to the points': the gain of a channel that the object does not reflect is unknown."""
 _MIN_INSIDE, _MIN_RING = 0.6, 0.25
 """Share of the points that must be in view. Without a ring its match is taken as _UNSEEN_RING."""
 _UNSEEN_RING = 0.3
@@ -44,12 +46,19 @@ class Views(Protocol):
         ...
 
 
+class Points(NamedTuple):
+    """Points of an object in a stored view."""
+
+    positions: np.ndarray  # (K, 2) m, in the object's coordinates
+    features: np.ndarray  # (K, 3)
+
+
 class Light(NamedTuple):
     """A correction for each of P poses."""
 
     gain: np.ndarray  # (P,)
     gradient: np.ndarray  # (P, 2) per 5 cm along the object's x and y
-    balance: np.ndarray  # (P, 2)
+    balance: np.ndarray  # (P, 2) log gains of red and green relative to blue
 
 
 def similarity(
@@ -91,13 +100,12 @@ def matches(
 ) -> Tuple[np.ndarray, np.ndarray]:
     """Return the match, 0 to 1, of the points inside the object (I,) and of the ring (R,) at one pose (3,)."""
     poses = np.asarray(pose)[None]
-    inside, valid = views.features(view, place(appearance.inside_points[stored], poses))
-    change = inside - appearance.inside_features[stored]
+    inside, ring = _points(appearance, stored)
+    seen, valid = views.features(view, place(inside.positions, poses))
+    seen_ring, _ = views.features(view, place(ring.positions, poses))
     scale = _scale(appearance)
-    light = _fit_light(change, valid, appearance.inside_points[stored], scale)
-    ring, _ = views.features(view, place(appearance.ring_points[stored], poses))
-    of_ring = _match(ring - appearance.ring_features[stored], appearance.ring_points[stored], light, scale)
-    return _match(change, appearance.inside_points[stored], light, scale)[0], of_ring[0]
+    light = _fit_light(seen, valid, inside, scale)
+    return _match(seen, inside, light, scale)[0], _match(seen_ring, ring, light, scale)[0]
 
 
 def _scale(appearance: Appearance) -> Tuple[float, float]:
@@ -110,27 +118,32 @@ def _in_view(
     appearance: Appearance, views: Views, view: int, stored: int, poses: np.ndarray, stride: int
 ) -> np.ndarray:
     """Similarity (P,) in one view; -1 where it does not show enough of the object."""
-    inside_points, ring_points = (
-        appearance.inside_points[stored, ::stride],
-        appearance.ring_points[stored, ::stride],
-    )
-    inside, inside_valid = views.features(view, place(inside_points, poses))
-    ring, ring_valid = views.features(view, place(ring_points, poses))
-    change = inside - appearance.inside_features[stored, ::stride]
+    inside, ring = _points(appearance, stored, stride)
+    seen, inside_valid = views.features(view, place(inside.positions, poses))
+    seen_ring, ring_valid = views.features(view, place(ring.positions, poses))
     scale = _scale(appearance)
-    light = _fit_light(change, inside_valid, inside_points, scale)
-    of_inside = _mean(_match(change, inside_points, light, scale), inside_valid)
-    of_ring = _mean(_match(ring - appearance.ring_features[stored, ::stride], ring_points, light, scale), ring_valid)
+    light = _fit_light(seen, inside_valid, inside, scale)
+    of_inside = _mean(_match(seen, inside, light, scale), inside_valid)
+    of_ring = _mean(_match(seen_ring, ring, light, scale), ring_valid)
     of_ring = np.where(ring_valid.mean(axis=1) < _MIN_RING, _UNSEEN_RING, of_ring)
     return np.where(inside_valid.mean(axis=1) < _MIN_INSIDE, -1.0, of_inside - of_ring)
 
 
-def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale: Tuple[float, float]) -> Light:
-    """Robust fit of the light to changes (P, K, 3) of the features at points (K, 2) of the object."""
+def _points(appearance: Appearance, stored: int, stride: int = 1) -> Tuple[Points, Points]:
+    """Points inside the object in a stored view, and those of the ring."""
+    return (
+        Points(appearance.inside_points[stored, ::stride], appearance.inside_features[stored, ::stride]),
+        Points(appearance.ring_points[stored, ::stride], appearance.ring_features[stored, ::stride]),
+    )
+
+
+def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: Tuple[float, float]) -> Light:
+    """Robust fit of the light to features (P, K, 3) seen at points, of which (P, K) are valid."""
+    change = features - points.features
     luminance = change[..., 0]
-    x, y = (points / _GRADIENT_UNIT).T
+    x, y = (points.positions / _GRADIENT_UNIT).T
     seen: np.ndarray = valid.astype(np.float32)
-    gain = np.nan_to_num(np.median(luminance, axis=1))
+    gain = _masked_median(luminance, valid)
     gradient: np.ndarray = np.zeros((len(gain), 2), np.float32)
     weight = seen
     for _ in range(2):
@@ -144,17 +157,40 @@ def _fit_light(change: np.ndarray, valid: np.ndarray, points: np.ndarray, scale:
         ex, ey = ex - _GRADIENT_PRIOR * gradient[:, 0], ey - _GRADIENT_PRIOR * gradient[:, 1]
         determinant = xx * yy - xy**2
         gradient = gradient + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], axis=-1) / determinant[:, None]
-    total = weight.sum(axis=1)[:, None] + 1e-6
-    balance = np.stack([(weight * change[..., 1]).sum(axis=1), (weight * change[..., 2]).sum(axis=1)], -1) / total
-    return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), np.clip(balance, -_BALANCE, _BALANCE))
+    balance = _fit_balance(change[..., 1:], weight, balance_slopes(points.features))
+    return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), balance)
 
 
-def _match(change: np.ndarray, points: np.ndarray, light: Light, scale: Tuple[float, float]) -> np.ndarray:
-    """Match (P, K), 0 to 1, of changes (P, K, 3) that the light does not explain."""
-    x, y = (points / _GRADIENT_UNIT).T
+def _masked_median(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Median (P,) of the valid values (P, K); 0 without any."""
+    ordered = np.sort(np.where(valid, values, np.inf), axis=1)
+    count, rows = valid.sum(axis=1), np.arange(len(values))
+    lower, upper = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
+    middle = 0.5 * (ordered[rows, lower] + ordered[rows, upper])
+    return np.where(count > 0, middle, 0.0).astype(np.float32)
+
+
+def _fit_balance(change: np.ndarray, weight: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """White balance (P, 2): weighted least squares for changes (P, K, 2) of the shares with slopes (K, 2, 2)."""
+    prior = _BALANCE_PRIOR * weight.sum(axis=1) + 1e-6
+    normal = weight @ np.einsum("kij,kil->kjl", slopes, slopes).reshape(-1, 4)
+    right = (weight * change[..., 0]) @ slopes[:, 0] + (weight * change[..., 1]) @ slopes[:, 1]
+    xx, xy, yy = normal[:, 0] + prior, normal[:, 1], normal[:, 3] + prior
+    solution = np.stack([yy * right[:, 0] - xy * right[:, 1], xx * right[:, 1] - xy * right[:, 0]], axis=-1)
+    gains = solution / (xx * yy - xy**2)[:, None]
+    largest = np.maximum(np.abs(gains).max(axis=1), np.abs(gains[:, 0] - gains[:, 1]))
+    return np.asarray(gains * np.minimum(1.0, _BALANCE / np.maximum(largest, 1e-6))[:, None])
+
+
+def _match(features: np.ndarray, points: Points, light: Light, scale: Tuple[float, float]) -> np.ndarray:
+    """Match (P, K), 0 to 1, of features (P, K, 3) seen at points: 1 if the light explains how they differ."""
+    x, y = (points.positions / _GRADIENT_UNIT).T
+    change = features - points.features
     error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
-    colour = colour_distance(change[..., 1:] - light.balance[:, None])
-    return 1.0 / (1.0 + (error / scale[0]) ** 2 + colour / scale[1] ** 2)
+    slopes = balance_slopes(points.features)
+    explained = light.balance[:, None, :1] * slopes[..., 0] + light.balance[:, None, 1:] * slopes[..., 1]
+    colour = colour_distance(change[..., 1:] - explained)
+    return np.asarray(1.0 / (1.0 + (error / scale[0]) ** 2 + colour / scale[1] ** 2))
 
 
 def _mean(values: np.ndarray, valid: np.ndarray) -> np.ndarray:

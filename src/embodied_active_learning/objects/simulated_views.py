@@ -22,11 +22,11 @@ from embodied_active_learning.objects.appearance import (
     pixel_positions,
     relative_positions,
 )
-from embodied_active_learning.objects.colours import colour_distance, colour_features
+from embodied_active_learning.objects.colours import balanced, colour_distance, colour_features
 
 LOOK_ALIKES = ("stretched", "scaled", "bent", "mirrored", "recoloured", "plain")
-_GAIN, _GRADIENT, _BALANCE = (-0.9, 0.4), 0.25, 0.08
-"""Ranges of the light: log luminance, its change per 5 cm, shift of the colour shares."""
+_GAIN, _GRADIENT, _BALANCE = (-0.9, 0.4), 0.25, 0.12
+"""Ranges of the light: log luminance, its change per 5 cm, log gains of the channels."""
 _GRADIENT_UNIT = 0.05
 _NOISE = (0.01, 0.05)
 """Range of the standard deviation of the noise, in features after the blur."""
@@ -48,7 +48,8 @@ class SimulatedViews:
         self.states = appearance.fingerprint.states
         self._random = random
         self._look_alike = look_alike
-        self._light = _draw_light(random)
+        self._brightness = _draw_brightness(random)
+        self._balance = random.uniform(-_BALANCE, _BALANCE, 3)
         self._table = _draw_table(random)
         self._noise = random.uniform(*_NOISE)
         self._kept = np.cos(random.uniform(0.0, np.pi))
@@ -71,7 +72,8 @@ class SimulatedViews:
     def _scene(self, view: int) -> Tuple[np.ndarray, np.ndarray]:
         """Features (SIDE, SIDE, 3) of the simulated place, and which of its pixels are in view."""
         shown, features, valid = self._object(view)
-        scene = np.where(shown[..., None], features, self._table) + self._light
+        scene = balanced(np.where(shown[..., None], features, self._table), self._balance)
+        scene[..., 0] += self._brightness
         scene += self._noise * self._random.standard_normal(scene.shape, dtype=np.float32)
         return scene.astype(np.float32), valid | ~shown
 
@@ -114,13 +116,10 @@ class SimulatedViews:
         return columns, rows
 
 
-def _draw_light(random: np.random.Generator) -> np.ndarray:
-    """A change (SIDE, SIDE, 3) of the features by other light."""
-    light: np.ndarray = np.zeros((SIDE, SIDE, 3), np.float32)
+def _draw_brightness(random: np.random.Generator) -> np.ndarray:
+    """A change (SIDE, SIDE) of the log luminance by other light."""
     gradient = random.uniform(-_GRADIENT, _GRADIENT, 2) / _GRADIENT_UNIT
-    light[..., 0] = random.uniform(*_GAIN) + _PIXELS @ gradient
-    light[..., 1:] = random.uniform(-_BALANCE, _BALANCE, 2)
-    return light
+    return np.asarray(random.uniform(*_GAIN) + _PIXELS @ gradient)
 
 
 def _draw_table(random: np.random.Generator) -> np.ndarray:

@@ -114,7 +114,7 @@ def _to_object(target: SearchTarget, decision: Decision, by_views: bool, workspa
     fingerprint = target.fingerprint
     pose = target.appearance.centre_at(decision.pose) if by_views else decision.pose
     wanted = transform_poses(fingerprint.states, fingerprint.centre, pose)
-    possible = workspace.clip(wanted)
+    possible = workspace.nearest(wanted)
     distance, turn = pose_distance(possible, wanted)
     off_centre, _ = pose_distance(fingerprint.states, fingerprint.centre)
     view = int(np.argmin(distance + _TURN_COST * turn + off_centre))

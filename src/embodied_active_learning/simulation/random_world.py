@@ -103,10 +103,16 @@ def _object(kind: str, position: Tuple[float, float], generator: np.random.Gener
 def _distractors(count: int, kinds: Sequence[str], generator: np.random.Generator) -> List[str]:
     """Names of different procedural objects that are wide enough to be seen from above."""
     found: List[str] = []
+    tried = set(kinds)
     while len(found) < count:
+        if len(tried) >= RANDOM_URDFS:
+            raise WorldError(
+                f"only {len(found)} of {count} procedural objects are left: use fewer kinds or distractors"
+            )
         name = f"random_urdfs/{generator.integers(RANDOM_URDFS):03d}"
-        if name not in found and name not in kinds and is_wide(name):
+        if name not in tried and is_wide(name):
             found.append(name)
+        tried.add(name)
     return found
 
 
@@ -124,7 +130,7 @@ def _positions(
 ) -> List[Tuple[float, float]]:
     """Random positions (x, y), m, that keep their distance."""
     lower, upper = np.array(workspace.lower[:2]) + _EDGE, np.array(workspace.upper[:2]) - _EDGE
-    for _ in range(_MAX_ATTEMPTS):
+    for _ in range(_MAX_ATTEMPTS if (lower < upper).all() else 0):
         points: List[np.ndarray] = []
         for _ in range(20 * count):
             point = np.round(generator.uniform(lower, upper), 3)
