@@ -10,6 +10,7 @@ from embodied_active_learning.errors import ArmNotReadyError, RobotError
 from embodied_active_learning.franka.driver import FrankaDriver
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Condition, Controller, RobotMode
+from embodied_active_learning.ros import names
 from fake_franka.generate import use_messages
 
 CONFIG = Config.from_dict({"arm": {"robot": "franka"}})
@@ -27,6 +28,7 @@ class Interface:
         self.errors = ()
         self.recovers = []
         self.rejected = ""
+        self.speed = 0.0  # m/s along x
 
     def controllers(self):
         return dict(self.running)
@@ -89,6 +91,7 @@ def lab(monkeypatch):
     def passes(seconds=0.05):
         for _ in range(max(round(seconds / 0.05), 1)):
             clock.now += 0.05
+            transform[0, 3] += 0.05 * interface.speed
             driver.update_state(clock.now, 0.0, transform.T.ravel(), interface.mode, interface.errors, ())
             driver.tick()
 
@@ -99,6 +102,23 @@ def lab(monkeypatch):
     supervisor = franka_supervisor.FrankaSupervisor(interface, driver, CONFIG.franka)
     passes(0.2)
     return SimpleNamespace(supervisor=supervisor, driver=driver, interface=interface, passes=passes)
+
+
+@pytest.fixture
+def requests(monkeypatch):
+    """The requests to services of franka_ros: their fields by the service's name."""
+    use_messages()
+    from embodied_active_learning.ros.arm import franka_interface  # noqa: PLC0415 - needs the messages
+
+    sent = {}
+
+    def call(name, service_class, **fields):
+        service_class._request_class(**fields)  # rejects unknown fields
+        sent[name] = fields
+        return SimpleNamespace(success=True)
+
+    monkeypatch.setattr(franka_interface, "_call", call)
+    return sent
 
 
 class _Lock:
@@ -115,6 +135,30 @@ class _NoThread:
 
     def start(self):
         pass
+
+
+def test_contact_limits_are_sent_in_all_fields(requests):
+    from embodied_active_learning.ros.arm.franka_interface import FrankaInterface  # noqa: PLC0415
+
+    torques, forces = tuple(range(11, 18)), tuple(range(21, 27))
+    config = Config.from_dict({"franka": {"torque_limits": torques, "force_limits": forces}}).franka
+    FrankaInterface.set_collision_behaviour(None, config)
+    fields = requests[names.FRANKA_COLLISION]
+    assert len(fields) == 8
+    for name, values in fields.items():
+        assert tuple(values) == (torques if "torque" in name else forces), name
+
+
+def test_load_is_sent_with_centre_and_inertia(requests):
+    from embodied_active_learning.ros.arm.franka_interface import FrankaInterface  # noqa: PLC0415
+
+    load = {"load_mass": 0.3, "load_centre": (0.01, 0.02, 0.03), "load_inertia": (0.001, 0.002, 0.003)}
+    FrankaInterface.set_load(SimpleNamespace(_load_mass=0.0), Config.from_dict({"franka": load}).franka)
+    assert requests[names.FRANKA_LOAD] == {
+        "mass": 0.3,
+        "F_x_center_load": [0.01, 0.02, 0.03],
+        "load_inertia": [0.001, 0.0, 0.0, 0.0, 0.002, 0.0, 0.0, 0.0, 0.003],
+    }
 
 
 def condition(lab):
@@ -138,6 +182,19 @@ def test_controller_is_not_started_after_rejected_setting(lab, request_):
     calls = len(lab.interface.calls)
     lab.supervisor.check()
     assert len(lab.interface.calls) == calls, "it is retried by a person only"
+
+
+def test_own_controller_is_not_restarted_while_arm_moves(lab):
+    lab.interface.running = {CONTROLLER: Controller("running", True)}
+    lab.interface.speed = 0.02
+    lab.passes(0.5)
+    lab.supervisor.check()
+    assert lab.interface.calls == []
+    assert "moves the arm on behalf of another node" in lab.driver.why_not_ready()
+    lab.interface.speed = 0.0
+    lab.passes(0.5)
+    lab.supervisor.recover()
+    assert lab.interface.calls[0] == "stop"
 
 
 def prepared(lab):
