@@ -17,7 +17,9 @@ PLANNED_BRAKING = 0.9
 """Fraction of the acceleration limit with which braking is planned; the rest compensates deviations of the arm."""
 # Share of the top speed below which a changed velocity is not reported.
 _NOTICEABLE = 0.01
-_MIN_PERIOD, _MAX_PERIOD = 1e-6, 1.0  # s
+MIN_PERIOD = 1e-6
+"""s: shorter periods are rejected."""
+_MAX_PERIOD = 1.0  # s
 
 
 class LegalVelocity(NamedTuple):
@@ -196,5 +198,5 @@ def _check(pose: Sequence[float], previous: Sequence[float], requested: Sequence
             usable = False
         if not usable:
             raise CommandError(f"invalid {name} {values!r}: expected {axes} finite numbers")
-    if not _MIN_PERIOD <= period <= _MAX_PERIOD:
-        raise CommandError(f"invalid period {period} s: expected {_MIN_PERIOD:g} to {_MAX_PERIOD:g} s")
+    if not MIN_PERIOD <= period <= _MAX_PERIOD:
+        raise CommandError(f"invalid period {period} s: expected {MIN_PERIOD:g} to {_MAX_PERIOD:g} s")

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, ArmStoppedError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import Condition, RobotMode
+from embodied_active_learning.franka.set_points import MAX_PERIOD, Tracking
 from embodied_active_learning.franka.velocity_readiness import STOPPED_ERROR
 from embodied_active_learning.franka.velocity_tracking import REST, VelocityTracker, velocity_driver
 from fake_velocity_service.robot import VelocityRobot
@@ -19,6 +22,11 @@ CONFIG = Config.from_dict(
     }
 )
 TICK = 0.01
+ARM = CONFIG.arm
+# of x, y, theta, height and tilt
+TOP = np.array([ARM.max_speed, ARM.max_speed, ARM.max_turn_rate, 0.02, 0.1, 0.1])
+ACCELERATION = np.array([ARM.max_acceleration, ARM.max_acceleration, ARM.max_turn_acceleration, 0.1, 0.5, 0.5])
+ROUNDING = 1e-9
 CENTRE = tuple(map(float, CONFIG.workspace.box().centre))
 
 
@@ -173,3 +181,30 @@ def test_stale_poses_end_the_motion():
     thread.join(10.0)
     assert isinstance(outcome[0], ArmFailedError)
     assert "stale" in lab.driver.why_not_ready()
+
+
+numbers = st.one_of(st.floats(-1.0, 1.0), st.floats(-1e6, 1e6))
+tilts = st.tuples(*(st.floats(-0.5, 0.5),) * 2)
+camera_poses = st.builds(CameraPose, st.tuples(*(numbers,) * 3), numbers, tilts)
+trackings = st.builds(Tracking, camera_poses, st.tuples(*(numbers,) * 3), camera_poses)
+periods = st.one_of(st.floats(1e-4, 0.05), st.sampled_from([TICK, 1.0, 3600.0]))
+
+
+def camera_velocity(twist, measured):
+    """Return the camera's velocity (6,): x, y, theta, height, tilt about x and y."""
+    (linear, angular), mount = twist, CameraMount.from_config(CONFIG)
+    _, rotation = mount.end_effector(measured)
+    x, y, z = linear + np.cross(angular, rotation @ mount.position)
+    return np.array([x, y, angular[2], z, *angular[:2]])
+
+
+@given(legs=st.lists(st.tuples(trackings, periods, st.integers(1, 20)), max_size=6))
+@settings(max_examples=100, deadline=None)
+def test_twist_stays_within_limits_for_any_tracking(legs):
+    tracker, before = VelocityTracker(CONFIG), np.zeros(6)
+    for tracking, period, ticks in legs:
+        for _ in range(ticks):
+            velocity = camera_velocity(tracker.twist(tracking, period), tracking.measured)
+            assert np.all(np.abs(velocity) <= TOP + ROUNDING)
+            assert np.all(np.abs(velocity - before) <= min(period, MAX_PERIOD) * ACCELERATION + ROUNDING)
+            before = velocity

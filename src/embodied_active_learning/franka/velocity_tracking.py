@@ -13,7 +13,7 @@ from embodied_active_learning.franka.motions import SetPointMotion
 from embodied_active_learning.franka.mount import CameraMount
 from embodied_active_learning.franka.set_points import MAX_PERIOD, Tracking, level_limits
 from embodied_active_learning.franka.velocity_readiness import VelocityReadiness, why_not_ready
-from embodied_active_learning.motion_limits import MotionLimits
+from embodied_active_learning.motion_limits import MIN_PERIOD, MotionLimits
 
 GAIN = 2.0
 """1/s: velocity per distance from the set-point. With a delay of 0.1 s in the loop, well damped."""
@@ -51,7 +51,7 @@ class VelocityTracker:
 
     def twist(self, tracking: Tracking, period: float) -> Twist:
         """Return the velocity of the end effector for the next period [s]."""
-        period = min(max(period, 1e-3), MAX_PERIOD)
+        period = min(max(period, MIN_PERIOD), MAX_PERIOD)
         set_point, measured = tracking.set_point, tracking.measured
         requested = _with_feedback(tracking.velocity, set_point.planar, measured.planar)
         self._planar = self._limits.next_velocity(measured.planar, self._planar, requested, period).velocity
