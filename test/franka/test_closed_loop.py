@@ -12,7 +12,7 @@ from embodied_active_learning.franka.report import CONTROLLER, Controller, Robot
 from fake_franka.frames import matrix_of, pose_of
 from fake_franka.robot import Behaviour, FakeRobot
 from launching import ROOT
-from threads import in_a_thread, wait_for
+from threads import in_a_thread, wait_for_waiter
 
 PROFILE = {**load_profile(ROOT / "config" / "franka.yaml")}
 PROFILE["arm"] = {**PROFILE["arm"], "robot": "franka", "max_duration": 10.0}
@@ -54,6 +54,10 @@ class Loop:
 
     def passes(self, seconds):
         for _ in range(round(seconds / TICK)):
+            self._tick()
+
+    def _tick(self):
+        with self.driver.lock:  # a command that wakes up sees whole ticks only
             self._advance(TICK)
             if self.now >= self._state_at:
                 self._state_at += STATE_PERIOD
@@ -71,10 +75,11 @@ class Loop:
         """Run a command of the driver to its end -> its result, and the time it took."""
         results, started_at = [], self.now
         thread = in_a_thread(lambda: results.append(command(*arguments, NeverStopped())))
-        wait_for(lambda: type(self.driver._motion).__name__ != "SetPointMotion" or not thread.is_alive())
-        while thread.is_alive() and self.now < started_at + 60.0:
+        wait_for_waiter(thread, self.driver.lock)
+        while thread.is_alive():
+            assert self.now < started_at + 60.0, "the command does not end"
             self.passes(TICK)
-            thread.join(1e-3)
+            wait_for_waiter(thread, self.driver.lock)
         return results[0], self.now - started_at
 
 

@@ -16,7 +16,7 @@ from embodied_active_learning.errors import (
 from embodied_active_learning.franka.driver import AT_REST, FrankaDriver
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
-from threads import in_a_thread, wait_for
+from threads import in_a_thread, wait_for, wait_for_waiter
 
 CONFIG = Config.from_dict(
     {
@@ -51,17 +51,17 @@ class Outcome:
 
     def __init__(self, command, *arguments):
         self.result = self.error = None
-        self._thread = in_a_thread(self._run, command, *arguments)
+        self.thread = in_a_thread(self._run, command, *arguments)
 
     def _run(self, command, *arguments):
         try:
             self.result = command(*arguments)
-        except CommandError as error:
+        except Exception as error:
             self.error = error
 
     @property
     def is_done(self):
-        return not self._thread.is_alive()
+        return not self.thread.is_alive()
 
     def raise_error(self):
         if self.error is not None:
@@ -79,7 +79,9 @@ class Lab:
         self.driver.readiness.set_prepared()
         self.mode, self.errors = RobotMode.MOVE, ()
         self.sends_states = self.follows = True
+        self.push = 0.0  # m/s along y, by hand
         self.sent = []
+        self._outcome = None  # of the last command
         self.driver.update_control(controllers=RUNNING)
         self.passes(0.05)
 
@@ -92,9 +94,15 @@ class Lab:
         values = self.end_effector() if end_effector is None else end_effector
         return self.driver.update_state(self.now, 0.0, values, self.mode, self.errors, ())
 
-    def passes(self, seconds, until=lambda: False):
+    def passes(self, seconds):
+        """Advance the clock, in lock-step with the last command."""
         ends_at = self.now + seconds - 1e-9
-        while self.now < ends_at and not until():
+        while self.now < ends_at:
+            self._tick()
+            self._wait_for_command()
+
+    def _tick(self):
+        with self.driver.lock:  # a command that wakes up sees whole ticks only
             self.now += PERIOD
             set_point = self.driver.tick()
             self.sent.append(set_point)
@@ -104,22 +112,32 @@ class Lab:
                 height = self.pose.height + share * (set_point.height - self.pose.height)
                 tilt = tuple(at + share * (to - at) for at, to in zip(self.pose.tilt, set_point.tilt))
                 self.pose = CameraPose(tuple(planar), height, tilt)
+            x, y, theta = self.pose.planar
+            self.pose = self.pose._replace(planar=(x, y + PERIOD * self.push, theta))
             if self.sends_states:
                 self.sees()
 
-    def carries_out(self, command, *arguments, longest=30.0):
-        outcome = Outcome(command, *arguments)
-        ends_at = self.now + longest
-        while not outcome.is_done and self.now < ends_at:
+    def _wait_for_command(self):
+        """Return once the last command waits for the next tick, or has ended."""
+        if self._outcome is not None:
+            wait_for_waiter(self._outcome.thread, self.driver.lock)
+
+    def begins(self, command, *arguments):
+        self._outcome = Outcome(command, *arguments)
+        self._wait_for_command()
+        return self._outcome
+
+    def carries_out(self, command, *arguments):
+        outcome = self.begins(command, *arguments)
+        ends_at = self.now + 30.0
+        while not outcome.is_done:
+            assert self.now < ends_at, "the command does not end"
             self.passes(PERIOD)
-            outcome._thread.join(0.001)
-        wait_for(lambda: outcome.is_done)
         outcome.raise_error()
         return outcome.result
 
     def starts_moving(self, velocity=(0.1, 0.0, 0.0), duration=1.0, stop=None):
-        outcome = Outcome(self.driver.move, velocity, duration, stop or NeverStopped())
-        wait_for(lambda: type(self.driver._motion).__name__ == "Move")
+        outcome = self.begins(self.driver.move, velocity, duration, stop or NeverStopped())
         self.passes(0.3)
         assert np.any(np.abs(self.driver._history.velocity) > AT_REST)
         return outcome
@@ -167,7 +185,7 @@ def test_velocity_above_limits_is_reduced_and_reported():
 def test_invalid_move_is_rejected(velocity, duration, complaint):
     lab = Lab()
     with pytest.raises(CommandError, match=complaint):
-        lab.driver.move(velocity, duration, NeverStopped())
+        lab.carries_out(lab.driver.move, velocity, duration, NeverStopped())
     np.testing.assert_array_equal(lab.velocity, 0.0)
 
 
@@ -187,8 +205,9 @@ def test_go_to_of_blocked_arm_fails_with_distance():
 
 
 def test_go_to_outside_workspace_is_rejected():
+    lab = Lab()
     with pytest.raises(CommandError, match="outside the workspace"):
-        Lab().driver.go_to((1.5, 0.0, 0.0), NeverStopped())
+        lab.carries_out(lab.driver.go_to, (1.5, 0.0, 0.0), NeverStopped())
 
 
 def test_stale_state_aborts_move_until_states_return():
@@ -200,7 +219,7 @@ def test_stale_state_aborts_move_until_states_return():
         lab.ends(outcome)
     assert lab.sent[-1] is None
     with pytest.raises(ArmNotReadyError, match="no new robot state"):
-        lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
+        lab.carries_out(lab.driver.move, (0.1, 0.0, 0.0), 0.2, NeverStopped())
     lab.sends_states = True
     lab.passes(0.02)
     lab.passes(0.01)
@@ -251,7 +270,7 @@ def test_reflex_aborts_move_and_rejects_later_commands():
         lab.ends(outcome)
     assert lab.sent[-1] is None
     with pytest.raises(ArmBusyError, match="recovery 1 of 2 follows automatically"):
-        lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
+        lab.carries_out(lab.driver.move, (0.1, 0.0, 0.0), 0.2, NeverStopped())
 
 
 def test_user_stop_aborts_move_until_recovery():
@@ -264,7 +283,7 @@ def test_user_stop_aborts_move_until_recovery():
     lab.mode = RobotMode.MOVE
     lab.passes(0.1)
     with pytest.raises(ArmStoppedError, match="call /arm/recover"):
-        lab.driver.move((0.1, 0.0, 0.0), 0.2, NeverStopped())
+        lab.carries_out(lab.driver.move, (0.1, 0.0, 0.0), 0.2, NeverStopped())
     assert lab.sent[-1] is None
 
 
@@ -291,19 +310,22 @@ def test_stop_without_states_reports_unknown_rest():
     lab.sends_states = False
     lab.passes(0.3)
     with pytest.raises(ArmFailedError, match="unknown whether the arm is at rest"):
-        lab.driver.stop()
+        lab.carries_out(lab.driver.stop)
 
 
 def test_stop_of_jumping_arm_reports_unknown_rest():
     lab = Lab()
-    lab.follows = False
-    outcome = Outcome(lab.driver.stop)
-    while not outcome.is_done:
-        x, y, theta = lab.pose.planar
-        lab.pose = lab.pose._replace(planar=(x, y + 0.02, theta))
-        lab.passes(PERIOD)
+    lab.follows, lab.push = False, 2.0
     with pytest.raises(ArmFailedError, match="pose jumps from state to state"):
-        outcome.raise_error()
+        lab.carries_out(lab.driver.stop)
+
+
+def test_stop_of_moving_arm_asks_for_user_stop():
+    lab = Lab()
+    lab.follows, lab.push = False, 0.02
+    lab.passes(0.3)
+    with pytest.raises(ArmFailedError, match=r"did not come to rest .* it moves at \[0\.0, 0\.02, .*user stop"):
+        lab.carries_out(lab.driver.stop)
 
 
 def test_set_point_does_not_follow_arm_after_failed_stop():
@@ -311,7 +333,7 @@ def test_set_point_does_not_follow_arm_after_failed_stop():
     lab.sends_states = False
     lab.passes(0.3)
     with pytest.raises(ArmFailedError):
-        lab.driver.stop()
+        lab.carries_out(lab.driver.stop)
     lab.sends_states, lab.follows = True, False
     lab.passes(0.1)
     x, y, theta = lab.pose.planar
@@ -322,8 +344,7 @@ def test_set_point_does_not_follow_arm_after_failed_stop():
 
 def test_move_fails_when_ticks_end():
     lab = Lab()
-    outcome = Outcome(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())
-    wait_for(lambda: type(lab.driver._motion).__name__ == "Move")
+    outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())
     lab.now += 0.6
     with pytest.raises(ArmFailedError, match=r"no set-point was sent for 0\.5 s"):
         lab.ends(outcome)
@@ -342,7 +363,7 @@ def test_move_fails_when_ticks_end():
 def test_motion_does_not_start_far_from_plane_or_workspace(place, complaint):
     lab = Lab(**place)
     with pytest.raises(ArmNotReadyError, match=complaint):
-        lab.driver.move((0.0, 0.0, 0.0), 0.1, NeverStopped())
+        lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 0.1, NeverStopped())
     lab.passes(0.3)
     assert lab.sent[-1] == lab.sent[1]
 

@@ -13,7 +13,7 @@ from embodied_active_learning.franka.set_points import MAX_PERIOD, Tracking
 from embodied_active_learning.franka.velocity_readiness import STOPPED_ERROR
 from embodied_active_learning.franka.velocity_tracking import REST, VelocityTracker, velocity_driver
 from fake_velocity_service.robot import VelocityRobot
-from threads import in_a_thread, wait_for
+from threads import in_a_thread, wait_for_waiter
 
 CONFIG = Config.from_dict(
     {
@@ -53,6 +53,7 @@ class Lab:
         self.readiness = self.driver.readiness
         self.tracker = VelocityTracker(CONFIG)
         self.errors = ()
+        self.thread = None  # of the last command
         self.cameras, self.queue = [], []
         self.readiness.set_prepared()
         self.passes(0.3)
@@ -62,7 +63,14 @@ class Lab:
         return self.mount.camera_pose(self.robot.pose.T.ravel())
 
     def passes(self, seconds):
+        """Advance the clock, in lock-step with the last command."""
         for _ in range(round(seconds / TICK)):
+            self._tick()
+            if self.thread is not None:
+                wait_for_waiter(self.thread, self.driver.lock)
+
+    def _tick(self):
+        with self.driver.lock:  # a command that wakes up sees whole ticks only
             self.now += TICK
             self.robot.advance(TICK)
             self.cameras.append(self.camera)
@@ -87,15 +95,17 @@ class Lab:
             except Exception as error:
                 outcome.append(error)
 
-        thread = in_a_thread(run)
-        wait_for(lambda: outcome or type(self.driver._motion).__name__ != "SetPointMotion")
-        return thread, outcome
+        self.thread = in_a_thread(run)
+        wait_for_waiter(self.thread, self.driver.lock)
+        return self.thread, outcome
 
     def runs(self, command, *arguments):
+        """Run a command of the driver to its end -> its result."""
         thread, outcome = self.begins(command, *arguments)
+        ends_at = self.now + 60.0
         while thread.is_alive():
+            assert self.now < ends_at, "the command does not end"
             self.passes(TICK)
-            thread.join(1e-3)
         if isinstance(outcome[0], Exception):
             raise outcome[0]
         return outcome[0]

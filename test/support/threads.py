@@ -11,9 +11,17 @@ def in_a_thread(function, *arguments):
     return thread
 
 
-def wait_for(condition):
-    """Return once a condition holds; fail after ten seconds."""
+def wait_for(condition, period=0.002):
+    """Return once a condition holds, checked every `period` seconds; fail after ten seconds."""
     ends_at = time.monotonic() + 10.0
     while not condition():
         assert time.monotonic() < ends_at
-        time.sleep(0.002)
+        time.sleep(period)
+
+
+def wait_for_waiter(thread, condition):
+    """Return once a thread waits for the next notification of a threading.Condition, or has ended.
+
+    A test that calls it before each tick advances in lock-step with the thread.
+    """
+    wait_for(lambda: condition._waiters or not thread.is_alive(), 1e-4)
