@@ -1,0 +1,87 @@
+"""Start and recovery of an arm with velocity service; without a master."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rospy
+
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import ArmNotReadyError, RobotError
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
+from embodied_active_learning.franka.report import RobotMode
+from embodied_active_learning.franka.velocity_tracking import velocity_driver
+from embodied_active_learning.ros import names
+from embodied_active_learning.ros.arm import velocity_supervisor
+from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
+
+CONFIG = Config.from_dict({"arm": {"robot": "velocity_service"}})
+
+
+class Lab:
+    """A supervisor and its driver, on a clock that the test advances."""
+
+    def __init__(self):
+        self.now = 10.0
+        self.speed = 0.0  # m/s along x
+        self.errors = ()
+        self.starts = 0  # of the controller
+        self._transform = np.eye(4)
+        pose = CameraPose(tuple(CONFIG.workspace.box().centre), 0.0, (0.0, 0.0))
+        self._transform[:3, 3], self._transform[:3, :3] = CameraMount.from_config(CONFIG).end_effector(pose)
+        self.driver = velocity_driver(CONFIG, lambda: self.now)
+        self.driver.wait_until_ready = self.passes
+        interface = SimpleNamespace(is_available=True, start=self.start)
+        self.supervisor = velocity_supervisor.VelocitySupervisor(interface, self.driver, CONFIG.franka)
+        self.passes(0.3)
+
+    def start(self, rate):
+        assert rate == CONFIG.franka.rate
+        self.starts += 1
+
+    def passes(self, seconds):
+        for _ in range(round(seconds / 0.05)):
+            self.now += 0.05
+            self._transform[0, 3] += 0.05 * self.speed
+            pose = self._transform.T.ravel()
+            self.driver.update_state(self.now, 0.0, pose, RobotMode.OTHER, self.errors, ())
+            self.driver.tick()
+        return not self.driver.why_not_ready()
+
+
+@pytest.fixture
+def lab(monkeypatch):
+    monkeypatch.setattr(velocity_supervisor, "WallTimer", lambda period, function: None)
+    return Lab()
+
+
+def test_controller_is_started_only_at_rest(lab):
+    lab.speed = 0.02
+    lab.passes(0.5)
+    lab.supervisor.check()
+    assert lab.starts == 0
+    lab.speed = 0.0
+    lab.passes(0.5)
+    lab.supervisor.check()
+    assert lab.starts == 1
+    assert lab.passes(0.1)
+
+
+def test_recovery_of_moving_arm_is_rejected(lab):
+    lab.supervisor.check()
+    lab.errors, lab.speed = ("stopped",), 0.02
+    lab.passes(0.5)
+    lab.errors = ()
+    with pytest.raises(ArmNotReadyError, match="the arm is not known to be at rest"):
+        lab.supervisor.recover()
+    assert lab.starts == 1
+    lab.speed = 0.0
+    lab.passes(0.5)
+    lab.supervisor.recover()
+    assert lab.starts == 2
+
+
+def test_too_few_requests_per_step_are_rejected(monkeypatch):
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: {names.VELOCITY_STEP: 0.02}[name])
+    with pytest.raises(RobotError, match=r"100 Hz gives fewer than 3 requests per step .* raise franka/rate"):
+        VelocityInterface.start(None, 100.0)
