@@ -107,19 +107,18 @@ def test_retreat_from_border_stays_in_workspace():
 
 @given(
     place=places,
-    shoves=st.lists(st.tuples(*(st.floats(-0.3, 0.3),) * 3, st.floats(-0.2, 0.2)), min_size=1, max_size=20),
+    shoves=st.lists(st.tuples(*(st.floats(-0.3, 0.3),) * 3), min_size=1, max_size=20),
     wanted=velocities,
 )
 @settings(max_examples=100, deadline=None)
 def test_pushed_arm_pulls_set_point_towards_itself_only(place, shoves, wanted):
     stream = begun(place)
-    for dx, dy, turn, climb in shoves:
-        measured = at(np.add(place, (dx, dy, turn)), climb)
+    for shove in shoves:
+        measured = at(np.add(place, shove))
         before = planar(stream)
         displaced = stream.advance(wanted, measured, PERIOD).displaced
         after = planar(stream)
         assert np.all(np.abs(after - measured.planar) <= LEADS + ROUNDING)
-        assert abs(stream.set_point.height - climb) <= CONFIG.franka.max_lead + ROUNDING
         leapt = np.abs(after - before) > PERIOD * TOP + ROUNDING
         assert displaced or not leapt.any()
         nearer = np.abs(after - measured.planar) <= np.abs(before - measured.planar) + ROUNDING
@@ -142,16 +141,32 @@ def test_late_tick_counts_as_max_period():
     np.testing.assert_array_equal(planar(late), planar(soon))
 
 
-def test_height_and_tilt_are_corrected_slowly():
-    stream = begun(BOX.centre, height=0.02, tilt=(0.1, -0.05))
-    heights = []
+def level(stream):
+    return np.array([stream.set_point.height, *stream.set_point.tilt])
+
+
+@pytest.mark.parametrize(("height", "tilt"), [(0.03, LEVEL), (0.0, (0.15, 0.0)), (0.0, (0.0, -0.15))])
+def test_height_and_tilt_are_corrected_slowly(height, tilt):
+    stream = begun(BOX.centre, height=height, tilt=tilt)
+    track = [level(stream)] * 2  # at rest
     for _ in range(300):
-        pose = stream.set_point
-        heights.append(pose.height)
-        stream.advance((0.0, 0.0, 0.0), pose, PERIOD)
-    assert stream.set_point.height == pytest.approx(0.0, abs=1e-9)
-    assert stream.set_point.tilt == pytest.approx(LEVEL, abs=1e-9)
-    assert np.max(np.abs(np.diff(heights))) <= 0.02 * PERIOD + ROUNDING
+        stream.advance((0.0, 0.0, 0.0), stream.set_point, PERIOD)
+        track.append(level(stream))
+    np.testing.assert_allclose(track[-1], 0.0, atol=1e-9)
+    speeds = np.diff(track, axis=0) / PERIOD
+    assert np.all(np.abs(speeds) <= np.array([0.02, 0.1, 0.1]) + ROUNDING)
+    assert np.all(np.abs(np.diff(speeds, axis=0)) <= PERIOD * np.array([0.1, 0.5, 0.5]) + ROUNDING)
+
+
+@given(shoves=st.lists(st.tuples(*(st.floats(-3.0, 3.0),) * 3), min_size=1, max_size=20))
+@settings(max_examples=100, deadline=None)
+def test_lead_of_height_and_tilt_is_limited(shoves):
+    stream = begun(BOX.centre)
+    limits = np.array([CONFIG.franka.max_lead, CONFIG.franka.max_turn_lead, CONFIG.franka.max_turn_lead])
+    for shove in shoves:
+        height, *tilt = shove * limits
+        stream.advance((0.0, 0.0, 0.0), at(BOX.centre, height, tuple(tilt)), PERIOD)
+        assert np.all(np.abs(level(stream) - (height, *tilt)) <= limits + ROUNDING)
 
 
 def test_only_commanded_motion_leads_back_into_workspace():
