@@ -42,10 +42,10 @@ class Node:
         self.wait_until(lambda: words in self.output)
 
     def end(self, sig):
-        """Send a signal and return the exit code; fail after five seconds."""
+        """Send a signal and return the exit code; fail after fifteen seconds, for a busy computer."""
         self.process.send_signal(sig)
         try:
-            return self.process.wait(5.0)
+            return self.process.wait(15.0)
         except subprocess.TimeoutExpired:
             raise AssertionError(f"shutdown timeout; output:\n{self.output}") from None
 

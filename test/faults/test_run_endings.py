@@ -147,7 +147,7 @@ def test_run_continues_after_trainer_crash(run):
 def test_trainer_saves_checkpoint_while_master_hangs(run):
     trainer = run.pid("trainer")
     with frozen(run.pid("rosmaster")):
-        assert end(trainer, signal.SIGTERM) < 5.0
+        assert end(trainer, signal.SIGTERM) < 10.0
         assert run.last_update == run.checkpoint.counters["updates"] > 0
     run.wait_for_respawn("trainer", trainer)
     run.wait_for_progress()
@@ -157,7 +157,7 @@ def test_planner_ends_while_trainer_hangs(run):
     planner = run.pid("ergodic_planner")
     with frozen(run.pid("trainer")):
         time.sleep(0.5)  # the planner waits for it by then
-        assert end(planner, signal.SIGTERM) < 5.0
+        assert end(planner, signal.SIGTERM) < 10.0
     assert run.arm_rests()
     run.wait_for_respawn("ergodic_planner", planner)
     run.wait_for_progress()
@@ -167,7 +167,7 @@ def test_planner_ends_while_arm_hangs(run):
     planner = run.pid("ergodic_planner")
     with frozen(run.pid("pybullet_arm")):
         time.sleep(0.5)
-        assert end(planner, signal.SIGINT) < 5.0
+        assert end(planner, signal.SIGINT) < 10.0
     run.wait_for_respawn("ergodic_planner", planner)
     run.wait_for_progress()
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
-import threading
-import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -45,22 +44,21 @@ def test_missing_lock_file_has_no_holder(tmp_path):
     assert lock.holder(tmp_path / "file" / ".lock") is None
 
 
-def test_query_of_holder_does_not_block_opening(tmp_path):
+def test_query_of_holder_does_not_block_opening(tmp_path, monkeypatch):
     path = tmp_path / ".lock"
     path.touch()
     asking = path.open("rb")
     fcntl.flock(asking.fileno(), fcntl.LOCK_SH)
-    answered = threading.Timer(0.05, asking.close)
-    answered.start()
+    monkeypatch.setattr(lock, "time", SimpleNamespace(sleep=lambda seconds: asking.close()))
     lock.acquire(path).close()
-    answered.join()
+    assert asking.closed
 
 
-def test_session_in_use_is_reported_quickly(tmp_path):
-    path = tmp_path / ".lock"
+def test_session_in_use_is_reported_quickly(tmp_path, monkeypatch):
+    path, pauses = tmp_path / ".lock", []
+    monkeypatch.setattr(lock, "time", SimpleNamespace(sleep=pauses.append))
     with lock.acquire(path):
-        began = time.monotonic()
         with pytest.raises(SessionError, match=f"in use by process {os.getpid()} on"):
             lock.acquire(path)
-        assert time.monotonic() - began < 0.5
+        assert 0.0 < sum(pauses) < 0.5
     lock.acquire(path).close()

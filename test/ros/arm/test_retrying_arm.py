@@ -2,7 +2,7 @@
 
 import threading
 import time
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from embodied_active_learning.errors import (
     ObservationError,
 )
 from embodied_active_learning.exploration.commands import VelocityCommand
-from embodied_active_learning.ros.arm import retry, retrying_arm
+from embodied_active_learning.ros.arm import lease, retry, retrying_arm
 from embodied_active_learning.ros.conversions import image_message, state_message
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
 from threads import in_a_thread, wait_for
@@ -279,27 +279,47 @@ def test_health_reports_pause_and_what_it_waits_for(retrying):
     )
 
 
-def test_heartbeats_keep_control_until_stop(arm, camera):
-    timeout = 0.3
-    retrying = retrying_arm.RetryingArm(replace(Config(), arm=replace(Config().arm, commander_timeout=timeout)))
-    time.sleep(timeout)
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of the lease, whose heartbeats are sent while it passes."""
+    clock = SimpleNamespace(now=0.0)
+
+    def start_timer(period, function):
+        def passes(seconds):
+            for _ in range(round(seconds / period)):
+                clock.now += period
+                function()
+
+        clock.passes = passes
+
+    monkeypatch.setattr(lease, "WallTimer", start_timer)
+    monkeypatch.setattr(lease, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    return clock
+
+
+def test_heartbeats_keep_control_until_stop(arm, camera, clock):
+    timeout = Config().arm.commander_timeout
+    retrying = retrying_arm.RetryingArm(Config())
+    clock.passes(2.0 * timeout)
     assert arm.heartbeats == 0, "nothing was commanded yet"
     retrying.execute(FORWARD)
-    wait_for(lambda: arm.heartbeats > 4)
+    clock.passes(2.0 * timeout)
+    assert arm.heartbeats == 2 * lease.HEARTBEATS
     assert retrying.in_control, "beyond the timeout of the command"
     retrying.stop()
-    assert not retrying.in_control
     sent = arm.heartbeats
-    time.sleep(timeout)
-    assert arm.heartbeats <= sent + 1, "one may have been in progress"
+    clock.passes(timeout)
+    assert arm.heartbeats == sent
     assert not retrying.in_control
 
 
-def test_denied_heartbeat_ends_control(arm, camera):
+def test_denied_heartbeat_ends_control(arm, camera, clock):
     arm.heartbeat = lambda: False
-    retrying = retrying_arm.RetryingArm(replace(Config(), arm=replace(Config().arm, commander_timeout=0.3)))
+    retrying = retrying_arm.RetryingArm(Config())
     retrying.execute(FORWARD)
-    wait_for(lambda: not retrying.in_control)
+    assert retrying.in_control
+    clock.passes(Config().arm.commander_timeout / lease.HEARTBEATS)
+    assert not retrying.in_control, "before the timeout of the command"
     retrying.stop()
     assert ("stop",) not in arm.calls
 
