@@ -48,7 +48,7 @@ def test_measures_prefer_samples_of_the_density():
 
 
 @pytest.mark.parametrize(
-    ("method", "limit"), [("SMC", 0.2), ("trajectory optimisation", 0.01), ("planner", 0.2), ("random walk", 10.0)]
+    ("method", "limit"), [("SMC", 0.2), ("trajectory optimisation", 0.01), ("planner", 0.2), ("random walk", 2.0)]
 )
 def test_method_covers_within_the_limits_of_the_arm(method, limit):
     positions = coverage.METHODS[method](three_gaussians, 60, 3)

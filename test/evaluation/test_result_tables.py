@@ -58,7 +58,7 @@ def test_block_is_replaced(tmp_path):
         replace_block(page, "two", [])
 
 
-def test_page_has_the_blocks_of_all_results(tmp_path):
+def test_page_has_the_blocks_of_all_results():
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     assert [
         name

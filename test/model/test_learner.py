@@ -14,6 +14,7 @@ from embodied_active_learning.model.build import choose_device, choose_loss
 from embodied_active_learning.model.checkpoint import LearnerState
 from embodied_active_learning.model.learner import DivergenceError, Learner
 from embodied_active_learning.model.loss import PlainLoss
+from threads import wait_for
 
 SMALL = {
     "camera": {"width": 45, "height": 45},
@@ -375,6 +376,7 @@ def test_readers_never_see_partly_refreshed_replicas():
     reader.start()
     legal = {float(learner.replicas.log_std(states, latent)[0])}
     try:
+        wait_for(lambda: answers)
         for _ in range(5):
             learner.update()
             learner.refresh()

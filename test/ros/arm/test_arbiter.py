@@ -96,8 +96,9 @@ def test_stop_during_command_releases_control_after_command():
         with arbiter.stop(request("/ergodic_planner")):
             stopped.append(True)
 
-    with arbiter.command(request("/ergodic_planner")):
+    with arbiter.command(request("/ergodic_planner")) as signal:
         thread = in_a_thread(stop)
+        wait_for(signal.is_set)
         with pytest.raises(ArmBusyError, match="executing a command"), arbiter.command(request("/fingerprinter")):
             pass
         assert not stopped
@@ -167,7 +168,9 @@ def test_no_command_after_close():
         with arbiter.command(request("/ergodic_planner")):
             moved.append(True)
 
-    in_a_thread(command).join(0.1)
+    thread = in_a_thread(command)
+    wait_for(lambda: arbiter._busy)
+    thread.join(0.1)
     assert not moved
 
 
