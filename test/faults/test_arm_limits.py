@@ -15,10 +15,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from arms import arm_at_start
 from embodied_active_learning.config import Config, SimulationConfig
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.simulation import servo
-from embodied_active_learning.simulation.arm import SimulatedArm
 
 CONFIG = Config()
 BOX = CONFIG.workspace.box()
@@ -40,6 +40,9 @@ class Recorder:
         self.poses = [self._pose()] * 2  # at rest
         self.joint_velocities = [np.zeros(len(JOINT_ACCELERATION))]
         self._body.drive = self._drive_and_record
+
+    def end(self):
+        del self._body.drive  # leaves that of its class
 
     def _drive_and_record(self, joints, joint_velocities):
         self._drive(joints, joint_velocities)
@@ -70,13 +73,13 @@ def assert_within(values, limit, unresolved):
 @contextlib.contextmanager
 def recorded_arm(config=CONFIG):
     """Yield an arm and the recorder of its motion; check the limits at the end."""
-    arm = SimulatedArm(config)
+    arm = arm_at_start(config)
+    recorder = Recorder(arm)
     try:
-        recorder = Recorder(arm)
         yield arm, recorder
         recorder.assert_all_limits_kept()
     finally:
-        arm.close()
+        recorder.end()
 
 
 anything = st.one_of(

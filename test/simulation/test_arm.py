@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from arms import arm_at_start
 from embodied_active_learning.config import ArmConfig, CameraConfig, Config, WorkspaceConfig
 from embodied_active_learning.errors import CommandError, ConfigError
 from embodied_active_learning.simulation.arm import SimulatedArm
@@ -37,9 +38,7 @@ commands = st.lists(st.tuples(velocities, st.floats(0.01, 0.5)), min_size=1, max
 
 @pytest.fixture
 def arm():
-    arm = SimulatedArm(CONFIG)
-    yield arm
-    arm.close()
+    return arm_at_start(CONFIG)
 
 
 def assert_upright(arm):
@@ -51,11 +50,13 @@ def assert_upright(arm):
     assert np.all(joints <= JOINT_LIMITS[:, 1])
 
 
-def test_arm_starts_at_rest_at_configured_pose(arm):
+def test_arm_starts_at_rest_at_configured_pose():
+    arm = SimulatedArm(CONFIG)
     np.testing.assert_allclose(arm.pose, CONFIG.simulation.start, atol=1e-5)
     np.testing.assert_array_equal(arm.velocity, np.zeros(3))
     assert arm.time == 0.0
     assert_upright(arm)
+    arm.close()
 
 
 @pytest.mark.parametrize("velocity", [(0.1, 0, 0), (0, -0.1, 0), (0, 0, 1.2), (0.06, -0.07, 0.9), tuple(FULL_SPEED)])
@@ -88,13 +89,12 @@ def test_joint_velocities_match_positions(arm):
 @given(commands=commands)
 @settings(max_examples=30, deadline=None)
 def test_moves_stay_in_workspace_and_upright(commands):
-    arm = SimulatedArm(CONFIG)
+    arm = arm_at_start(CONFIG)
     for velocity, duration in commands:
         arm.move(velocity, duration)
         assert BOX.contains(arm.pose)
         assert np.all(np.abs(arm.velocity) <= 1.01 * FULL_SPEED)
         assert_upright(arm)
-    arm.close()
 
 
 def test_go_to_reaches_all_corners(arm):
