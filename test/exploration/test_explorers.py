@@ -90,14 +90,14 @@ def test_malformed_reference_to_an_explorer_is_refused(name):
 
 
 @pytest.mark.parametrize("name", EXPLORERS)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(STATE, arrays(np.float64, (100,), elements=st.floats(0, 1)), st.integers(0, 2**31 - 1))
 def test_commands_stay_in_workspace(name, position, target, seed):
     visited = explore(name, position, 20, seed, target)
     assert np.all(np.abs(visited) <= 1.0 + 1e-12)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(STATE, arrays(np.float64, (3,), elements=st.floats(-5, 5)), arrays(np.float64, (100,), elements=st.floats(0, 1)))
 def test_plan_stays_in_workspace_for_any_measured_velocity(position, velocity, target):
     controller, samples = ErgodicController(SMALL, 0), WorkspaceSamples(SMALL, [position])
@@ -110,7 +110,7 @@ def test_plan_stays_in_workspace_for_any_measured_velocity(position, velocity, t
 
 @pytest.mark.parametrize("name", ["ergodic", "random_walk"])
 @given(position=arrays(np.float64, (3,), elements=st.floats(-1.5, 1.5)))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_first_command_from_outside_leads_back(name, position):
     after = explore(name, position, 1)[-1]
     outside = np.abs(position) > 1.0

@@ -57,7 +57,7 @@ def test_authors_coverage_zero_without_visited_states():
     assert workspace_coverage(states(10), np.empty((0, 3)), 0.05, authors=True) == 0.0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 600), st.integers(0, 30), st.booleans(), st.sampled_from([0, 7, 20, 200]))
 def test_recursive_sums_equal_direct_sums(before, steps, normalise, fresh):
     config = configuration(normalise, fresh_samples=fresh)

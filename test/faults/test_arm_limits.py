@@ -129,7 +129,7 @@ def send(arm, command, *arguments):
 
 
 @given(st.lists(commands, min_size=1, max_size=8))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @example(
     [("move", tuple(TOP_SPEED), 0.5, None), ("go_to", BOX.lower), ("move", tuple(TOP_SPEED), 0.3, None), ("stop",)]
 )

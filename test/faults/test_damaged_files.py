@@ -129,7 +129,7 @@ def test_flipped_bit_is_detected_or_harmless(kind, sample, originals):
             assert is_believable(kind, found, originals[kind.path], damaged), position
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_random_bytes_are_rejected_by_name(sample, originals, data):
     kind = data.draw(st.sampled_from(KINDS))
@@ -303,13 +303,13 @@ def test_yaml_beyond_plain_data_is_rejected(kind, sample, text, complaint):
         max_leaves=10,
     )
 )
-@settings(deadline=None, derandomize=True)
+@settings(derandomize=True)
 def test_plain_yaml_round_trip(value):
     assert parse_yaml(yaml.safe_dump(value)) == value
 
 
 @given(st.text(alphabet="ab:-[]{}&*!?|>'\"%@#<=\n ,.0123456789~", max_size=60))
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 def test_any_yaml_is_parsed_or_rejected(text):
     with contextlib.suppress(ValueError):
         repr(parse_yaml(text))

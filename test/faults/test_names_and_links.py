@@ -70,7 +70,7 @@ def test_invalid_name_is_rejected_with_the_rule(root, name, use):
 
 
 @given(st.text(max_size=70))
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 def test_name_is_valid_exactly_by_the_rule(name):
     if re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name) and name.isascii():
         assert check_name(name) == name

@@ -83,7 +83,7 @@ def test_native_gradients_match_reference_at_180_pixels():
 
 
 @needs_kernels
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(
     kernel=st.integers(1, 5),
     stride=st.integers(1, 4),

@@ -124,7 +124,7 @@ def test_near_variance_applies_anywhere_in_measured_cell():
     assert np.unravel_index(grid.mean.argmax(), grid.mean.shape) == index
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 50), st.integers(0, 2**31 - 1))
 def test_batch_update_equals_sequential_updates(count, seed):
     """Poses on and outside the grid, fewer and more than one batch."""
@@ -138,7 +138,7 @@ def test_batch_update_equals_sequential_updates(count, seed):
     np.testing.assert_allclose(together.std, apart.std, rtol=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(1, 40), st.integers(0, 2**31 - 1))
 def test_update_adds_information_of_each_measurement(count, seed):
     random = np.random.default_rng(seed)
@@ -172,7 +172,7 @@ def plain_information(grid, pose):
     return 1.0 / (far + footprint * (SETTINGS.near_variance - far))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(MEASUREMENTS, st.randoms(use_true_random=False))
 def test_belief_independent_of_image_order(measurements, random):
     shuffled = random.sample(measurements, len(measurements))
@@ -183,7 +183,7 @@ def test_belief_independent_of_image_order(measurements, random):
     np.testing.assert_allclose(grids[0].std, grids[1].std, rtol=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(MEASUREMENTS)
 def test_mean_stays_in_range_and_std_decreases(measurements):
     grid = make_grid()
@@ -369,7 +369,7 @@ def test_evidence_weight_wraps_yaw():
     np.testing.assert_allclose(EvidenceWeights(SETTINGS).update(states), [1.0, 0.5], atol=1e-4)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**31 - 1), st.lists(st.integers(0, 30), max_size=4))
 def test_result_independent_of_stream_chunks(seed, cuts):
     states = np.random.default_rng(seed).uniform((0.44, 0.0, -0.4), (0.48, 0.04, 0.4), (30, 3))

@@ -29,7 +29,7 @@ def test_print_is_flat():
     assert measured(0.0).flat
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(height=st.floats(0.01, 0.05), brightness=st.floats(0.5, 1.0))
 def test_standing_disc_is_raised_in_any_light(height, brightness):
     found = measured(height, brightness=brightness)

@@ -252,7 +252,7 @@ else:
     assert len(list(tmp_path.iterdir())) == 1
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     values=st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), max_size=20),
     counters=st.dictionaries(

@@ -120,7 +120,7 @@ def test_empty_set_round_trip(session):
     assert load_fingerprints(session).fingerprints == ()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(
     states=arrays(np.float64, (2, 3), elements=st.floats(-1e300, 1e300)),
     images=arrays(np.uint8, (2, 8, 9, 3), elements=st.integers(0, 255), fill=st.integers(0, 255)),

@@ -314,7 +314,7 @@ def test_acknowledged_observations_survive_sigkill(tmp_path):
     assert stored > 0
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     height=st.integers(1, 6),
     width=st.integers(1, 6),

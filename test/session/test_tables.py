@@ -148,7 +148,7 @@ table.append({{"step": 2, "value": 3.0}})
     assert path.read_text() == "step,value\n0,1.0\n2,3.0\n"
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(values=st.lists(st.floats(), max_size=8))
 def test_any_numbers_round_trip(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("table") / "t.csv"

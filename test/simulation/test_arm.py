@@ -87,7 +87,7 @@ def test_joint_velocities_match_positions(arm):
 
 
 @given(commands=commands)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_moves_stay_in_workspace_and_upright(commands):
     arm = arm_at_start(CONFIG)
     for velocity, duration in commands:

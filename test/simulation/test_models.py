@@ -377,7 +377,7 @@ def sample(tmp_path_factory):
     return folder, {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_mutated_files_are_rendered_or_rejected(sample, data):
     """Changed, removed and repeated bytes of each file lead to an image or a WorldError, never to anything else."""

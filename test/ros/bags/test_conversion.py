@@ -49,7 +49,7 @@ numbers = st.floats(-1e3, 1e3, allow_nan=False)
 stored = st.lists(st.tuples(instants, st.tuples(numbers, numbers, numbers), st.integers(0, 99)), min_size=1, max_size=4)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(observations=stored, compression=st.sampled_from(["none", "bz2", "lz4"]))
 def test_round_trip_is_bit_exact(tmp_path_factory, observations, compression):
     root = tmp_path_factory.mktemp("round")

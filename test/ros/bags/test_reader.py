@@ -155,7 +155,7 @@ def test_malformed_records_are_rejected(tmp_path, content, expected):
     assert expected in rejection(path)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_mutated_bag_is_read_or_rejected(whole, tmp_path_factory, data):
     content = bytearray(whole)
@@ -183,7 +183,7 @@ nested = st.builds(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(parts=st.lists(st.one_of(records, nested, st.just(CONNECTION)), max_size=6))
 def test_well_formed_records_with_random_content_are_read_or_rejected(tmp_path_factory, parts):
     path = tmp_path_factory.getbasetemp() / "random.bag"

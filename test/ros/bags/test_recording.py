@@ -351,7 +351,7 @@ def valid(tmp_path_factory):
     return path.read_bytes()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_mutated_recording_is_read_or_rejected(valid, tmp_path_factory, data):
     """Bytes of settings, messages and records change; also topics, so that pairs are made instead of observations."""
