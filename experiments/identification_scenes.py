@@ -222,10 +222,12 @@ def report(rows: Sequence[Dict[str, str]]) -> None:
 
     In conditions with a learned table, an object counts as present for the fingerprints of the session that learned
     that table. Several fingerprints of one kind and session count once where the kind is present, because only the most
-    similar one is found at a place. Fingerprints of no object and blanks have lines of their own.
+    similar one is found at a place; claims where their object does not stand are counted for each. Fingerprints of no
+    object and blanks have lines of their own.
     """
-    print("\n| condition | rule | hits | undecided, present | false claims, absent | undecided, absent | error [cm] |")
-    print("| --- " * 7 + "|")
+    columns = ("condition", "rule", "hits", "undecided, present", "wrong places, present", "false claims, absent",
+               "undecided, absent", "error [cm]")  # fmt: skip
+    print(f"\n| {' | '.join(columns)} |\n{'| --- ' * len(columns)}|")
     for rule in dict.fromkeys(row["rule"] for row in rows):
         of_rule = [row for row in rows if row["rule"] == rule]
         objects = [row for row in of_rule if row["kind"] not in (BLANK, NO_OBJECT)]
@@ -237,10 +239,15 @@ def report(rows: Sequence[Dict[str, str]]) -> None:
 
 
 def _report_line(condition: str, rule: str, rows: Sequence[Dict[str, str]]) -> None:
-    there = _one_of_a_kind([row for row in rows if row["present"] == "1" and _is_fair(row)])
+    present = [row for row in rows if row["present"] == "1" and _is_fair(row)]
+    there = _one_of_a_kind(present)
     absent = [row for row in rows if row["present"] == "0"]
     errors = [100.0 * float(row["error"]) for row in there if row["hit"] == "1" and row["kind"] != BLANK]
-    cells = (share(there, "hit"), share(there, "undecided"), share(absent, "false_claim"), share(absent, "undecided"))
+    cells = (
+        *(share(there, name) for name in ("hit", "undecided")),
+        *(share(part, "false_claim") for part in (present, absent)),
+        share(absent, "undecided"),
+    )
     if rows:
         print(f"| {condition} | {rule} | {' | '.join(cells)} | {f'{np.median(errors):.2f}' if errors else '-'} |")
 
