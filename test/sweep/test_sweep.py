@@ -11,6 +11,7 @@ import yaml
 import embodied_active_learning as eal
 from embodied_active_learning.errors import MissingPackageError, SessionError
 from embodied_active_learning.model.learner import DivergenceError
+from embodied_active_learning.session.paths import LOCK_FILE
 from embodied_active_learning.sweep import jobs as sweep_jobs
 from embodied_active_learning.sweep import runner
 from embodied_active_learning.sweep.__main__ import main
@@ -109,6 +110,18 @@ def test_interrupted_run_is_resumed(tmp_path, monkeypatch):
     job()
     assert job.complete
     assert list(load_record(job.record).tables["exploration"]["step"]) == list(range(1, STEPS + 1))
+
+
+def test_folder_of_an_uncreated_session_is_started_anew(tmp_path):
+    """A process was killed between making the folder and writing the configuration."""
+    job = jobs_of(tmp_path)[0]
+    job.session.mkdir(parents=True)
+    (job.session / LOCK_FILE).touch()
+    job.check()
+    assert job.progress().step == 0
+    assert job.bytes_needed() > 0
+    job()
+    assert job.complete
 
 
 def test_failed_run_does_not_stop_the_others(tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ from embodied_active_learning.pipeline.learning import learn
 from embodied_active_learning.pipeline.progress import Progress
 from embodied_active_learning.pipeline.resolve import resolve_config
 from embodied_active_learning.session.disk import estimate_bytes, folder_size
+from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.sweep.run_records import has_record, load_record, record_session, write_record
@@ -46,6 +47,11 @@ class Job:
         """Whether the run has been made, here or elsewhere."""
         return has_record(self.record)
 
+    @property
+    def started(self) -> bool:
+        """Whether there is a session; a process that is killed while creating one leaves a folder without."""
+        return SessionPaths(self.session).config.is_file()
+
     def check(self) -> None:
         """Raise SessionError if the stored run was made with other settings."""
         stored = self._stored()
@@ -63,7 +69,7 @@ class Job:
         steps = updates = 0
         if self.complete:
             steps, updates = config.exploration.steps, config.updates_planned
-        elif self.session.is_dir():
+        elif self.started:
             session = Session.open_read_only(self.session)
             steps = len(session.read_table("exploration")["step"])
             made = session.read_table("training")["update"]
@@ -72,7 +78,7 @@ class Job:
 
     def bytes_needed(self) -> int:
         """Return the bytes that the rest of the run stores."""
-        stored = folder_size(self.session) if self.session.is_dir() else 0
+        stored = folder_size(self.session) if self.started else 0
         return 0 if self.complete else max(0, estimate_bytes(self.run.config()) - stored)
 
     def __call__(self) -> str:
@@ -103,11 +109,11 @@ class Job:
 
     def _config(self) -> Config:
         changes = merge(dict(self.run.changes), {"training": {"threads": self.threads}})
-        place = {"root": str(self.sessions), "name": self.run.name, "resume": self.session.is_dir()}
+        place = {"root": str(self.sessions), "name": self.run.name, "resume": self.started}
         return resolve_config(self.run.profile, merge(changes, {"session": place}))
 
     def _stored(self) -> Optional[Config]:
         """Return the configuration of the stored run, if there is one."""
         if self.complete:
             return load_record(self.record).config
-        return Session.open_read_only(self.session).config if self.session.is_dir() else None
+        return Session.open_read_only(self.session).config if self.started else None
