@@ -57,6 +57,8 @@ def test_runs_are_compared_up_to_the_shortest():
 def test_unknown_key_is_refused():
     with pytest.raises(ConfigError, match="did you mean exploration/explorer"):
         group_records(RECORDS, "exploration/explore")
+    with pytest.raises(ConfigError, match="cannot be grouped by session/name"):
+        group_records(RECORDS, "session/name")
 
 
 def test_record_is_written_small_and_read_again(tmp_path):

@@ -35,7 +35,7 @@ def bootstrap_mean(values: np.ndarray, level: float = LEVEL) -> Mean:
     """Return the mean over runs with percentile bootstrap intervals.
 
     Args:
-        values: (R, N) one row per run; NaN where a run has no value.
+        values: (R, N) one row per run, without NaN.
         level: Coverage of the interval.
     """
     values = np.asarray(values, dtype=float)
@@ -63,9 +63,9 @@ def group_records(records: Sequence[Record], key: str) -> Dict[str, List[Record]
     """Group records by a setting (`section/key`) or by "variant", in the order of their first member.
 
     Raises:
-        ConfigError: There is no such setting.
+        ConfigError: There is no such setting; a record has none of section `session`.
     """
-    names = ["variant", *(f"{section}/{item.name}" for section, item in settings(Config))]
+    names = ["variant", *(f"{section}/{item.name}" for section, item in settings(Config) if section != "session")]
     if key not in names:
         raise ConfigError(f"runs cannot be grouped by {key}: {nearest(key, names)}")
     groups: Dict[str, List[Record]] = {}
