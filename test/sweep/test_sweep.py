@@ -3,6 +3,7 @@
 import os
 import shutil
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -16,7 +17,7 @@ from embodied_active_learning.sweep import jobs as sweep_jobs
 from embodied_active_learning.sweep import runner
 from embodied_active_learning.sweep.__main__ import main
 from embodied_active_learning.sweep.jobs import Job
-from embodied_active_learning.sweep.run_records import has_record, load_record
+from embodied_active_learning.sweep.run_records import has_record, load_record, write_record
 from embodied_active_learning.sweep.runner import make_runs, total_progress
 from embodied_active_learning.sweep.spec import load_sweep
 from tiny import STEPS, TINY
@@ -181,6 +182,15 @@ def test_dry_run_lists_runs_disk_and_time(made, tmp_path, capsys):
     assert "time with 1 workers: unknown until a run is made" in output
     assert main([*arguments, "--results", str(made[0] / "records")]) == 0
     assert "run-diagonal-seed0: made" in capsys.readouterr().out
+
+
+def test_dry_run_estimates_no_time_from_failed_runs(copied, capsys):
+    arguments = [str(write_spec(copied)), "--root", str(copied), "--results", str(copied / "records"), "--dry-run"]
+    record = copied / "records" / "run-diagonal-seed0"
+    write_record(record, replace(load_record(record), failure="too large"))
+    shutil.rmtree(copied / "records" / "run-diagonal-seed1")
+    assert main(arguments) == 0
+    assert "unknown until a run is made" in capsys.readouterr().out
 
 
 def test_command_refuses_an_invalid_sweep(tmp_path, capsys):

@@ -109,8 +109,9 @@ def _plan(jobs: Sequence[Job], folder: Path, workers: int) -> str:
         state = "made" if job.complete else f"{progress.step} of {progress.steps} steps"
         lines.append(f"{job.run.name}: {state}")
         if job.complete:
-            summary = load_record(job.record).summary
-            rates.append(summary.wall_time / max(1, summary.steps))
+            record = load_record(job.record)
+            if not record.failure:  # the wall time of a failed run is not known
+                rates.append(record.summary.wall_time / max(1, record.summary.steps))
         else:
             left += (1.0 - progress.share) * progress.steps
     time = duration(left * statistics.median(rates) / workers) if rates else "unknown until a run is made"
