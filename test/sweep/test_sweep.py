@@ -196,3 +196,9 @@ def test_dry_run_estimates_no_time_from_failed_runs(copied, capsys):
 def test_command_refuses_an_invalid_sweep(tmp_path, capsys):
     assert main([str(tmp_path / "missing.yaml")]) == 2
     assert "missing.yaml is missing" in capsys.readouterr().err
+
+
+def test_command_refuses_a_malformed_parameter(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main([str(write_spec(tmp_path)), "--set", "comment=["])
+    assert "--set: comment is malformed" in capsys.readouterr().err

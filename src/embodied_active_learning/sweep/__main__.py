@@ -87,7 +87,10 @@ class _Pairs(argparse.Action):
             key, equals, value = text.partition("=")
             if not equals:
                 parser.error(f"{option_string}: {text!r} is malformed: expected KEY=VALUE")
-            pairs[key] = parse_yaml(value)
+            try:
+                pairs[key] = parse_yaml(value)
+            except ValueError as error:
+                parser.error(f"{option_string}: {key} is malformed: {error}")
         setattr(namespace, self.dest, pairs)
 
 
