@@ -18,7 +18,6 @@ import random
 import resource
 import signal
 import tempfile
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -80,12 +79,11 @@ def with_training(config: Config, root: str, seed: int, steps: int, **training: 
 
 def train(run: TrainingRun, trainers: int) -> None:
     """Train until all updates are made, with workers on this computer."""
-    done = threading.Event()
     if run.pool is None:
-        run.train(done, lambda report: None, done.set)
+        run.train(lambda report: None, run.stop)
         return
     with LocalWorkers(trainers - 1, run.pool.address):
-        run.train(done, lambda report: None, done.set)
+        run.train(lambda report: None, run.stop)
 
 
 def measure_quality(stored: Session, steps: int, trainers: int, updates_per_round: int, seed: int) -> Dict[str, Any]:

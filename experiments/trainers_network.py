@@ -16,7 +16,6 @@ import os
 import statistics
 import subprocess
 import sys
-import threading
 import time
 from contextlib import ExitStack
 from datetime import timedelta
@@ -87,8 +86,7 @@ def own_rounds(config: Config) -> None:
     print(run.pool.address if run.pool else "", flush=True)
     for index in range(OBSERVATIONS):
         run.observe(index, 0.2 * index, observations.raw_states[index].tolist(), observations.images[index])
-    done = threading.Event()
-    run.train(done, lambda report: None, done.set)
+    run.train(lambda report: None, run.stop)
     run.close()
     rounds = Session.open_read_only(run.folder).read_table("rounds")
     print(json.dumps({name: values.tolist() for name, values in rounds.items()}), flush=True)

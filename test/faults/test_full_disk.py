@@ -6,7 +6,6 @@ import contextlib
 import re
 import shutil
 import subprocess
-import threading
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -184,11 +183,11 @@ def test_training_resumes_after_full_disk(small_disk):
 
 def train(config, on_update=lambda report: None):
     """Make all updates of a run whose observations come at once. -> updates made."""
-    run, stop = TrainingRun(config), threading.Event()
+    run = TrainingRun(config)
     try:
         for index in range(config.exploration.steps):
             run.observe(*observation(index))
-        run.train(stop, on_update, stop.set)
+        run.train(on_update, run.stop)
         return run.updates
     finally:
         run.close()

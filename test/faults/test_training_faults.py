@@ -204,22 +204,21 @@ def test_resumed_run_equals_uninterrupted_run(tmp_path, last):
 @contextmanager
 def trained(run, stop_at=None):
     """Train a run until all due updates are made or one is reached; closed when the block ends."""
-    stop, answers = threading.Event(), threading.Event()
+    answers = threading.Event()
 
     def on_update(report):
         if report.update == stop_at:
-            stop.set()
-        if stop.is_set() or report.update == run.updates_due:
+            run.stop()
+        if report.update in (stop_at, run.updates_due):
             answers.set()
 
-    thread = threading.Thread(target=run.train, args=(stop, on_update, lambda: None))
+    thread = threading.Thread(target=run.train, args=(on_update,))
     thread.start()
     try:
         assert answers.wait(TIMEOUT)
         yield
     finally:
-        stop.set()
-        run.wake()
+        run.stop()
         thread.join(TIMEOUT)
         run.close()
 

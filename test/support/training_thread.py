@@ -49,11 +49,11 @@ def hand_over(run, indices):
 @contextmanager
 def training(run):
     """Train a run in a thread -> Training; stopped and closed when the block ends."""
-    stop, output = threading.Event(), Training([], threading.Event(), [])
+    output = Training([], threading.Event(), [])
 
     def train():
         try:
-            run.train(stop, output.reports.append, output.finished.set)
+            run.train(output.reports.append, output.finished.set)
         except Exception as error:
             output.errors.append(error)
             output.finished.set()
@@ -65,8 +65,7 @@ def training(run):
     try:
         yield output
     finally:
-        stop.set()
-        run.wake()
+        run.stop()
         thread.join(TIMEOUT)
         run.close()
         assert not thread.is_alive()

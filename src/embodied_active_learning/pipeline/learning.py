@@ -85,7 +85,6 @@ class BackgroundTraining:
         self.report: Optional[UpdateReport] = None
         """Report of the newest update."""
         self._error: Optional[Exception] = None
-        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._train, name="training")
         self._local_workers = local_workers
         self._workers = ExitStack()
@@ -103,8 +102,7 @@ class BackgroundTraining:
         error: Optional[BaseException],
         trace: Optional[TracebackType],
     ) -> None:
-        self._stop.set()
-        self.run.wake()
+        self.run.stop()
         self._thread.join()
         self._workers.close()
         self.run.close()
@@ -135,10 +133,9 @@ class BackgroundTraining:
 
     def _train(self) -> None:
         try:
-            self.run.train(self._stop, self._on_update, lambda: None)
+            self.run.train(self._on_update)
         except Exception as error:  # raised again in the exploring thread by check()
             self._error = error
-            self.run.wake()
 
     def _on_update(self, report: UpdateReport) -> None:
         self.report = report

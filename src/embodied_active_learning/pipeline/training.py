@@ -31,7 +31,7 @@ ROLLBACKS = 3  # at one update, before training fails
 class TrainingRun:
     """Stores observations, makes the updates that are due, and answers queries from a replica of the model.
 
-    One thread calls train(); any other may call observe(), log_std(), encode() and save() meanwhile.
+    One thread calls train(); any other may call observe(), log_std(), encode(), save() and stop() meanwhile.
     """
 
     def __init__(self, config: Config, address: str = "127.0.0.1") -> None:
@@ -46,6 +46,7 @@ class TrainingRun:
             self._store = opened.enter_context(self._session.open_observations())
             self._learner = Learner(config, self._store, config.exploration.seed)
             self._changed = threading.Condition()
+            self._stop = threading.Event()
             self._save_requested = False
             self._saved: Optional[Path] = None
             self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # content, path
@@ -131,15 +132,12 @@ class TrainingRun:
             SessionError: It cannot be written.
         """
         self._store.append(index, stamp, state, image)
-        self.wake()
+        self._wake()
 
-    def train(
-        self, stop: threading.Event, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]
-    ) -> None:
-        """Make updates as they become due until stop is set (call wake() then), and write a checkpoint at the end.
+    def train(self, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None] = lambda: None) -> None:
+        """Make updates as they become due until stop() is called, and write a checkpoint at the end.
 
         Args:
-            stop: Ends training.
             on_update: Called after each update.
             on_finish: Called once, when the final model is written.
 
@@ -147,17 +145,17 @@ class TrainingRun:
             DivergenceError: The model still diverges after several rollbacks to the last good checkpoint.
             SessionError: A file cannot be written.
         """
-        while not stop.is_set():
+        while not self._stop.is_set():
             try:
-                self._advance(stop, on_update, on_finish)
+                self._advance(on_update, on_finish)
             except DivergenceError as error:
                 self._rollback(error)
         self._checkpoint()
 
-    def wake(self) -> None:
-        """Wake all threads that wait for a change, including train(), which then checks its stop event."""
-        with self._changed:
-            self._changed.notify_all()
+    def stop(self) -> None:
+        """Request train() to write a checkpoint and return; any thread may call this."""
+        self._stop.set()
+        self._wake()
 
     def log_std(
         self, states: np.ndarray, min_updates: int, timeout: float = 1.0
@@ -218,6 +216,11 @@ class TrainingRun:
         self._store.close()
         self._session.close()
 
+    def _wake(self) -> None:
+        """Wake all threads that wait for a change."""
+        with self._changed:
+            self._changed.notify_all()
+
     def _open_table(self, name: str) -> Table:
         """Open a table and drop the rows of updates after the checkpoint."""
         table = self._session.open_table(name)
@@ -251,21 +254,19 @@ class TrainingRun:
                 self._early_stop.load_state_dict(counters["early_stop"])
             self._end_after(self._early_stop.steps)
 
-    def _advance(
-        self, stop: threading.Event, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]
-    ) -> None:
+    def _advance(self, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]) -> None:
         """Make an update, finish the run or wait, whichever is due; then write a checkpoint if requested."""
         if self.updates < self.updates_due:
             if self.pool is None:
                 self._make_update(on_update, self.updates + 1)
                 self._after_updates(self.updates - 1)
             else:
-                self._make_round(self.pool, stop, on_update)
+                self._make_round(self.pool, on_update)
         elif self._is_complete():
             self._finish()
             on_finish()
         else:
-            self._wait_for_work(stop)
+            self._wait_for_work()
         self._save_if_requested()
 
     def _make_update(self, on_update: Callable[[UpdateReport], None], end: int, trainers: int = 1) -> None:
@@ -275,11 +276,13 @@ class TrainingRun:
         self._tables["training"].append(dataclasses.asdict(report))
         on_update(report)
 
-    def _make_round(self, pool: WorkerPool, stop: threading.Event, on_update: Callable[[UpdateReport], None]) -> None:
-        """Make updates together with the workers until the round ends, a worker fails or stop is set."""
+    def _make_round(self, pool: WorkerPool, on_update: Callable[[UpdateReport], None]) -> None:
+        """Make updates together with the workers until the round ends, a worker fails or stop() is called."""
         first, size = self.updates, self._config.updates_per_refresh
         end = min(first - first % size + size, self._config.updates_planned)
-        made = pool.make_round(self._learner, end, stop, lambda trainers: self._make_update(on_update, end, trainers))
+        made = pool.make_round(
+            self._learner, end, self._stop, lambda trainers: self._make_update(on_update, end, trainers)
+        )
         if self.updates < end:  # others have not made theirs, and this trainer's have now other numbers
             self._tables["training"].truncate_after("update", self.updates)
         self._tables["rounds"].append(made)
@@ -289,7 +292,7 @@ class TrainingRun:
         """Evaluate, refresh a replica and write a checkpoint if that became due after update number `before`."""
         stopped = self._evaluate(before)
         if self._passed(self._config.updates_per_refresh, before):
-            self._learner.refresh_async(self.wake)
+            self._learner.refresh_async(self._wake)
             self._refreshed = self.updates
         if self._passed(self._config.training.checkpoint_every, before) or stopped:
             self._checkpoint()  # after the refresh, because it stores which model answers queries
@@ -342,14 +345,14 @@ class TrainingRun:
             table.truncate_after("update", self.updates)
         LOG.warning("%s; rollback to the model of update %d", error, self.updates)
 
-    def _wait_for_work(self, stop: threading.Event) -> None:
+    def _wait_for_work(self) -> None:
         """Publish the newest model to the replicas, then wait for work."""
         if self._refreshed != self.updates:
-            self._learner.refresh_async(self.wake)
+            self._learner.refresh_async(self._wake)
             self._refreshed = self.updates
         self._learner.join()
         with self._changed:
-            self._changed.wait_for(lambda: stop.is_set() or self._save_requested or self._has_work())
+            self._changed.wait_for(lambda: self._stop.is_set() or self._save_requested or self._has_work())
 
     def _has_work(self) -> bool:
         return self.updates < self.updates_due or self._is_complete()

@@ -4,7 +4,6 @@ import math
 import os
 import signal
 import subprocess
-import threading
 import time
 from dataclasses import replace
 
@@ -76,8 +75,7 @@ def test_replay_gives_the_weights_of_its_observations(replayed, home):
         for item in Recording(BAG).observations(config):
             image = image_array(item.image, config.camera.height, config.camera.width)
             run.observe(item.index, item.header.stamp.to_sec(), state_arrays(item.state)[0], image)
-        finished = threading.Event()
-        run.train(finished, lambda report: None, finished.set)
+        run.train(lambda report: None, run.stop)
     finally:
         run.close()
         torch.set_num_threads(threads)
