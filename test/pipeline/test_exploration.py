@@ -6,7 +6,7 @@ import pytest
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
-from embodied_active_learning.pipeline.exploration import ExplorationRun
+from embodied_active_learning.pipeline.exploration import ExplorationRun, await_log_std, first_command
 
 
 def configured(explorer="ergodic", **exploration):
@@ -158,3 +158,24 @@ def test_plan_after_interruption_starts_at_rest():
     run.evaluate_step(None)
     first = np.abs(run.next_command().velocity)
     assert np.all(first <= np.array([0.15 / 1.25, 0.15 / 1.25, 1.5 / 0.625]) * 0.2 + 1e-9)
+
+
+def test_query_is_repeated_until_the_model_is_the_awaited_one():
+    """The first response is of an older model, the second ends the exploration, so that all updates are awaited."""
+    configs, asked = [Config()], []
+
+    def query(min_updates):
+        asked.append(min_updates)
+        if len(asked) == 2:
+            configs.append(Config().with_steps(100))
+        return np.full(3, len(asked)), len(asked) > 1
+
+    assert await_log_std(lambda: configs[-1], 10, query) is None
+    assert asked == []
+    assert await_log_std(lambda: configs[-1], 100, query).tolist() == [3.0] * 3
+    assert asked == [108, 108, 300]
+
+
+def test_first_command_returns_to_the_last_state():
+    assert first_command(Config(), np.empty((0, 3))) == VelocityCommand(0.0, 0.0, 0.0, 0.2)
+    assert first_command(Config(), np.array([[0.4, 0.0, 0.0], [0.5, 0.1, 0.2]])) == PoseCommand(0.5, 0.1, 0.2)

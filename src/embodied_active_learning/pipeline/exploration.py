@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Dict, Mapping, Optional
+from typing import Callable, Dict, Mapping, Optional, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.exploration.commands import Command, VelocityCommand
+from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
 from embodied_active_learning.exploration.ergodic_objective import (
     flat_distribution,
     kl_ergodic,
@@ -51,6 +51,39 @@ def exploration_row(stamp: float, state: np.ndarray, metrics: StepMetrics) -> Di
         "turning": metrics.turning,
         "effort": metrics.effort,
     }
+
+
+def first_command(config: Config, trajectory: np.ndarray) -> Command:
+    """Return the arm to the last state of a trajectory (N, 3) [m, m, rad]; without one, hold it still for a step."""
+    if len(trajectory):
+        return PoseCommand.from_array(config.workspace.box().clip(trajectory[-1]))
+    return VelocityCommand(0.0, 0.0, 0.0, config.exploration.step_duration)
+
+
+def await_log_std(
+    config: Callable[[], Config], observations: int, query: Callable[[int], Tuple[Optional[np.ndarray], bool]]
+) -> Optional[np.ndarray]:
+    """Query the log standard deviation until the model is the one awaited after a number of observations.
+
+    Training is then at most `training/max_lag` updates behind those due for this many observations.
+
+    Args:
+        config: Returns the run's configuration, which has fewer steps once training has ended the exploration.
+        observations: Number of observations so far.
+        query: Returns the log standard deviation (S,) or None, and whether the model has the given number of updates.
+
+    Returns:
+        Log standard deviation (S,), or None before anything is learned.
+    """
+    awaited = config().updates_awaited(observations)
+    if awaited == 0:
+        return None  # even if training is ahead, so that runs are reproducible
+    while True:
+        log_std, ready = query(max(0, awaited - config().training.max_lag))
+        # After an early stop, more updates are awaited.
+        before, awaited = awaited, config().updates_awaited(observations)
+        if ready and awaited == before:
+            return log_std
 
 
 class ExplorationRun:

@@ -10,7 +10,7 @@ import threading
 import time
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Callable, Optional, Type
+from typing import Callable, Optional, Tuple, Type
 
 import numpy as np
 import torch
@@ -18,10 +18,15 @@ import torch
 from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.distributed.local import LocalWorkers
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
+from embodied_active_learning.exploration.commands import Command, VelocityCommand
 from embodied_active_learning.model.build import set_threads
 from embodied_active_learning.model.learner import UpdateReport
-from embodied_active_learning.pipeline.exploration import ExplorationRun, exploration_row
+from embodied_active_learning.pipeline.exploration import (
+    ExplorationRun,
+    await_log_std,
+    exploration_row,
+    first_command,
+)
 from embodied_active_learning.pipeline.progress import Progress
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.conclusion import conclude_launch
@@ -118,18 +123,15 @@ class BackgroundTraining:
     def log_std(self, states: np.ndarray, observations: int) -> Optional[np.ndarray]:
         """Return the log standard deviation (S,) at states (S, 3) [m, m, rad]; None before anything is learned.
 
-        Waits until training is at most training/max_lag updates behind those due for this many observations.
+        Waits for the model that is awaited after this many observations.
         """
-        awaited, ready = self.run.config.updates_awaited(observations), False
-        if awaited == 0:
-            return None  # even if training is ahead, so that runs are reproducible
-        while not ready:
+
+        def query(min_updates: int) -> Tuple[Optional[np.ndarray], bool]:
             self.check()
-            log_std, _, ready = self.run.log_std(states, max(0, awaited - self._config.training.max_lag))
-            # After an early stop, more updates are awaited.
-            before, awaited = awaited, self.run.config.updates_awaited(observations)
-            ready = ready and awaited == before
-        return None if log_std is None else np.asarray(log_std, dtype=np.float64)
+            log_std, _, ready = self.run.log_std(states, min_updates)
+            return None if log_std is None else np.asarray(log_std, dtype=np.float64), ready
+
+        return await_log_std(lambda: self.run.config, observations, query)
 
     def _train(self) -> None:
         try:
@@ -153,7 +155,7 @@ def _explore(
     measure = float("nan")
     with session.open_table("exploration") as table:
         table.truncate_after("step", len(run.trajectory))
-        _execute(simulation, _first_command(config, run.trajectory))
+        _execute(simulation, first_command(config, run.trajectory))
         while exploration.step < run.config.exploration.steps:
             stamp, state, velocity = ros_seconds(simulation.time), simulation.pose, simulation.velocity
             run.observe(exploration.step, stamp, state.tolist(), simulation.image())
@@ -174,13 +176,6 @@ def ros_seconds(seconds: float) -> float:
     """Return a time in seconds as a ROS time holds it: whole nanoseconds, rounded down."""
     whole = int(seconds)
     return whole + int((seconds - whole) * 1e9) / 1e9
-
-
-def _first_command(config: Config, trajectory: np.ndarray) -> Command:
-    """Return to the last observed pose; a new run starts where the arm is."""
-    if len(trajectory):
-        return PoseCommand.from_array(config.workspace.box().clip(trajectory[-1]))
-    return VelocityCommand(0.0, 0.0, 0.0, config.exploration.step_duration)
 
 
 def _execute(simulation: Simulation, command: Command) -> None:

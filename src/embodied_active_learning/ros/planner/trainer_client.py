@@ -10,6 +10,7 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.msg import Observation
+from embodied_active_learning.pipeline.exploration import await_log_std
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import states_array
 from embodied_active_learning.ros.runtime.services import RetryingService, trigger_if_advertised
@@ -57,27 +58,25 @@ class TrainerClient:
     def log_std(self, states: np.ndarray, observations: int) -> Optional[np.ndarray]:
         """Return the log standard deviation (S,) at states (S, 3) [m, m, rad]; None before anything is learned.
 
-        Waits until the trainer is at most `training/max_lag` updates behind those due for this many observations.
+        Waits for the model that is awaited after this many observations.
 
         Raises:
             EmbodiedActiveLearningError: the trainer refused the states.
         """
-        if self._config.updates_awaited(observations) == 0:
-            return None  # even if the trainer is ahead, so that runs are reproducible
-        request = EvaluateEntropyRequest(states=np.asarray(states).ravel().tolist())
-        made = 0
+        request, made = EvaluateEntropyRequest(states=np.asarray(states).ravel().tolist()), 0
+
+        def query(min_updates: int) -> Tuple[Optional[np.ndarray], bool]:
+            nonlocal made
+            request.min_updates = min_updates
+            response = self._entropy.call(request)
+            if not response.success:
+                raise EmbodiedActiveLearningError(f"the trainer returned no entropy: {response.message}")
+            made = response.updates
+            self._config = self._config.with_steps(response.steps)
+            return np.array(response.log_std) if response.learned else None, response.ready
+
         with log_wait(lambda: f"the trainer: update {made} of {request.min_updates}"):
-            while True:
-                awaited = self._config.updates_awaited(observations)
-                request.min_updates = max(0, awaited - self._config.training.max_lag)
-                response = self._entropy.call(request)
-                if not response.success:
-                    raise EmbodiedActiveLearningError(f"the trainer returned no entropy: {response.message}")
-                made = response.updates
-                self._config = self._config.with_steps(response.steps)
-                # After an early stop, more updates are awaited.
-                if response.ready and self._config.updates_awaited(observations) == awaited:
-                    return np.array(response.log_std) if response.learned else None
+            return await_log_std(lambda: self._config, observations, query)
 
 
 def save_model() -> None:
