@@ -22,7 +22,7 @@ MIN_COVERAGE = 0.6
 """Smallest workspace coverage k; the ergodic explorer reaches it after about 200 steps, a random walk after 900."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Measurement:
     """What a check of the stopping criterion is based on.
 
@@ -46,28 +46,19 @@ class Measurement:
 
 
 @dataclass(frozen=True, eq=False)
-class StopCheck:
-    """Result of a check: how far each part of the criterion is.
+class StopCheck(Measurement):
+    """Result of a check: a measurement, and how far each part of the criterion is.
 
     Attributes:
         drifts: (K,) distance of each centre from that of the previous check [m]; NaN if their number has changed.
-        drift: The largest of them, 0 without objects.
+        drift: The largest of them, 0 without objects; NaN if their number has changed or is the first.
         stable_checks: Number of successive checks, including this one, that found the same objects.
         stopped: Whether the run may end.
-
-    The others are those of the measurement.
     """
 
-    update: int
-    observations: int
-    centres: np.ndarray
-    undiscovered: int
     drifts: np.ndarray
     drift: float
     stable_checks: int
-    contrast: float
-    latent_contribution: float
-    coverage: float
     stopped: bool
 
     @property
@@ -120,16 +111,10 @@ class StoppingCriterion:
         useful = measured.latent_contribution >= USEFUL
         stable = agreeing >= enough and (useful or not objects) and not measured.undiscovered
         return StopCheck(
-            update=measured.update,
-            observations=measured.observations,
-            centres=centres,
-            undiscovered=measured.undiscovered,
+            **{**vars(measured), "centres": centres},
             drifts=drifts,
             drift=drift,
             stable_checks=agreeing,
-            contrast=measured.contrast,
-            latent_contribution=measured.latent_contribution,
-            coverage=measured.coverage,
             stopped=bool(stable and measured.coverage >= MIN_COVERAGE),
         )
 
