@@ -103,8 +103,7 @@ def average_synchronously(config: Config, rank: int, rounds: int) -> None:
     for number in range(rounds):
         distributed.barrier()
         began = time.monotonic()
-        learner.updates = number
-        learner.step(beta=1e-4, gamma=0.1)
+        learner.step(number, beta=1e-4, gamma=0.1)
         weights = learner.weights()
         computed = time.monotonic()
         distributed.all_reduce(weights)

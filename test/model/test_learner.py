@@ -494,8 +494,9 @@ def test_vectors_restore_weights_and_moments():
 def test_average_is_weighted_by_updates():
     learner = make()
     own = learner.weights()
-    learner.average(1, [(3, own + 4.0)])
+    learner.average(0, 1, [(3, own + 4.0)])
     assert torch.allclose(learner.weights(), own + 3.0, atol=1e-6)
+    assert learner.updates == 4
 
 
 def test_trainers_in_turn_evaluate_schedule_as_often_as_one():

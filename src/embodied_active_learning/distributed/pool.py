@@ -194,9 +194,7 @@ class WorkerPool:
         finally:  # also after a divergence, so that the workers are ready for the next round
             own, computing = len(range(first, learner.updates, trainers)), time.monotonic() - began
             results = self._collect(stop)
-        if results:
-            learner.average(own, results)
-        learner.updates = first + own + sum(result.updates for result in results)
+        learner.average(first, own, results)
         return RoundReport(
             update=learner.updates,
             trainers=1 + len(results),

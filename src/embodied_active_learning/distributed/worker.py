@@ -133,9 +133,8 @@ class TrainerWorker:
     def _make_updates(self, header: Header) -> int:
         """Return the number of updates made: none if the model diverges, which the owner then meets as well."""
         for number in header.updates:
-            self._learner.updates = number
             try:
-                self._learner.step(header.beta, header.gamma)
+                self._learner.step(number, header.beta, header.gamma)
             except DivergenceError as error:
                 LOG.warning("%s; this worker's updates of the round are discarded", error)
                 return 0

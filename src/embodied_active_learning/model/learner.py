@@ -137,7 +137,7 @@ class Learner:
         """
         self.prepare(trainers)
         number, beta, gamma = self.updates, self.schedule.beta, self.schedule.gamma
-        terms = self.step(beta, gamma)
+        terms = self.step(number, beta, gamma)
         self.updates = number + trainers
         return UpdateReport(
             update=self.updates,
@@ -167,13 +167,16 @@ class Learner:
         with torch.no_grad():
             log_std = self._log_std_over(self._workspace_states(random), count)
             threshold = self._config.training.active_unit_threshold
-            measured = evaluate_model(self.network, self._inference, subset, threshold)
+            units, errors = evaluate_model(self.network, self._inference, subset, threshold)
         return Evaluation(
             update=self.updates,
             observations=count,
+            active_units=units,
+            mse_own=errors.own,
+            mse_shuffled=errors.shuffled,
+            mse_none=errors.none,
             log_std_min=float(log_std.min()),
             log_std_max=float(log_std.max()),
-            **measured,
         )
 
     def end_after(self, steps: int) -> None:
@@ -209,19 +212,21 @@ class Learner:
             for parameter, values in unpack(weights, dict(self.network.named_parameters())):
                 parameter.copy_(values)
 
-    def average(self, updates: int, others: Sequence[Tuple[int, torch.Tensor]]) -> None:
-        """Average the weights with those of other trainers, in proportion to the updates that each has made.
+    def average(self, first: int, own: int, others: Sequence[Tuple[int, torch.Tensor]]) -> None:
+        """Average the weights with those of other trainers, in proportion to the updates that each has made, and count.
 
         Args:
-            updates: Number that this trainer has made since all had the same weights.
+            first: Number of updates when all had the same weights.
+            own: Number that this trainer has made since.
             others: Number and weights (P,) of each other trainer.
         """
-        total = updates + sum(made for made, _ in others)
-        if total > 0:
-            mean = self.weights() * (updates / total)
+        total = own + sum(made for made, _ in others)
+        if others and total > 0:
+            mean = self.weights() * (own / total)
             for made, weights in others:
                 mean.add_(weights, alpha=made / total)
             self.load_weights(mean)
+        self.updates = first + total
 
     def moments(self) -> torch.Tensor:
         """Return a copy of Adam's moments and step count as one vector (2 P + 1,) float32 on the CPU."""
@@ -312,13 +317,13 @@ class Learner:
         self.schedule.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
 
-    def step(self, beta: float, gamma: float) -> LossTerms:
-        """Take update number `updates` with given loss weights, without counting it.
+    def step(self, number: int, beta: float, gamma: float) -> LossTerms:
+        """Take an update, by its number from 0, with given loss weights, without counting it.
 
         Takes the first pair of batches whose loss is finite and below LOSS_LIMIT, and gradient finite. Raises
         DivergenceError like update().
         """
-        count = self._count(self.updates)
+        count = self._count(number)
         for _ in range(ATTEMPTS):
             terms = self._compute_gradients(count, beta, gamma)
             if float(terms.total) < LOSS_LIMIT and math.isfinite(float(terms.total + terms.gradient_sum)):
@@ -327,7 +332,7 @@ class Learner:
             self.skipped += 1
         raise DivergenceError(
             f"training diverged: loss or gradient not finite, or loss above {LOSS_LIMIT:g}, for {ATTEMPTS} batches in a"
-            f" row at update {self.updates + 1}; lower training/learning_rate"
+            f" row at update {number + 1}; lower training/learning_rate"
         )
 
     def _compute_gradients(self, count: int, beta: float, gamma: float) -> LossTerms:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Dict
+from typing import Tuple
 
 import torch
 
@@ -29,6 +29,11 @@ class Evaluation:
     log_std_min: float
     log_std_max: float
 
+    @property
+    def errors(self) -> ReconstructionErrors:
+        """The three errors."""
+        return ReconstructionErrors(self.mse_own, self.mse_shuffled, self.mse_none)
+
 
 def active_units(latent_means: torch.Tensor, threshold: float) -> int:
     """Return the number of latents whose mean has an unbiased variance above the threshold. Paper, Eq. 31.
@@ -52,12 +57,10 @@ def reconstruction_errors(
     return ReconstructionErrors(*(reconstruction_error(network, inference, used, subset) for used in alternatives))
 
 
-def evaluate_model(network: ConditionalVAE, inference: Inference, subset: Batch, threshold: float) -> Dict[str, Any]:
-    """Return active units and the three reconstruction errors of an Evaluation, by field name."""
+def evaluate_model(
+    network: ConditionalVAE, inference: Inference, subset: Batch, threshold: float
+) -> Tuple[int, ReconstructionErrors]:
+    """Return the active units and the reconstruction errors of an Evaluation."""
     features = inference.encode(network, subset.images)
     latents = network.encode_features(subset.states, features, inference.linear).mean
-    errors = reconstruction_errors(network, inference, latents, subset)
-    return {
-        "active_units": active_units(latents, threshold),
-        **{f"mse_{name}": error for name, error in errors._asdict().items()},
-    }
+    return active_units(latents, threshold), reconstruction_errors(network, inference, latents, subset)

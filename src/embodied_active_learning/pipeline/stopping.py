@@ -13,7 +13,6 @@ from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model.learner import Learner
 from embodied_active_learning.model.metrics import Evaluation
 from embodied_active_learning.model.trained_model import TrainedModel
-from embodied_active_learning.model.verdict import ReconstructionErrors
 from embodied_active_learning.objects.clustering import find_objects
 from embodied_active_learning.objects.stability import Measurement, StopCheck, StoppingCriterion, unexplained
 from embodied_active_learning.session.observations import Observations
@@ -95,14 +94,13 @@ def measure(
     objects = [cluster.centre[:2] for cluster in (*found.clusters, *found.unreachable)]
     centres: np.ndarray = np.array(objects, dtype=np.float64).reshape(-1, 2)
     things = unexplained(_within_workspace(found.visible.things, config), centres, settings.merge_distance)
-    errors = ReconstructionErrors(evaluation.mse_own, evaluation.mse_shuffled, evaluation.mse_none)
     return Measurement(
         update=evaluation.update,
         observations=count,
         centres=centres,
         undiscovered=len(things),
         contrast=found.contrast,
-        latent_contribution=errors.latent_contribution,
+        latent_contribution=evaluation.errors.latent_contribution,
         coverage=coverage,
     )
 
