@@ -254,18 +254,26 @@ def test_schedule_uses_configured_coverage():
     assert theirs > 1.02 * ours  # divided by the largest kernel
 
 
+def network_log_std(learner, states, latent):
+    """Return the log std of the learner's own network at states (S, 3) for a latent (L,)."""
+    device = next(learner.network.parameters()).device
+    query = (torch.tensor(values, dtype=torch.float32, device=device) for values in (latent, states))
+    return learner.network.log_std(*query).detach().cpu().numpy()
+
+
 def test_replica_keeps_the_network_of_its_refresh():
     learner = make()
     learner.update()
     learner.refresh()
     assert learner.replicas.updates == 1
-    states, latent = np.random.default_rng(0).uniform(-1, 1, (9, 3)), np.linspace(-1, 1, 16)
-    device = next(learner.network.parameters()).device
-    query = (torch.tensor(values, dtype=torch.float32, device=device) for values in (latent, states))
-    expected = learner.network.log_std(*query).detach().cpu().numpy()
+    states, store = np.random.default_rng(0).uniform(-1, 1, (9, 3)), GrowingStore(70)
+    observed = store.states[0], store.images[0]
+    latent = learner.replicas.encode(store.states[:1], store.images[:1])[0][0]
+    expected = network_log_std(learner, states, latent)
     learner.update()
-    assert np.allclose(learner.replicas.log_std(states, latent), expected, atol=1e-6)
-    assert learner.replicas.updates == 1
+    values, updates = learner.replicas.conditional_log_std(states, *observed)
+    assert np.allclose(values, expected, atol=1e-6)
+    assert learner.replicas.updates == updates == 1
 
 
 def test_conditional_log_std_uses_the_observations_latent():
@@ -273,7 +281,7 @@ def test_conditional_log_std_uses_the_observations_latent():
     states = np.random.default_rng(0).uniform(-1, 1, (9, 3))
     latent = learner.replicas.encode(store.states[:1], store.images[:1])[0][0]
     values, updates = learner.replicas.conditional_log_std(states, store.states[0], store.images[0])
-    assert np.allclose(values, learner.replicas.log_std(states, latent), atol=1e-6)
+    assert np.allclose(values, network_log_std(learner, states, latent), atol=1e-6)
     assert updates == 0
 
 
@@ -365,22 +373,24 @@ def test_early_observations_do_not_change_the_result():
 
 def test_readers_never_see_partly_refreshed_replicas():
     learner = make()
-    states, latent = np.zeros((4, 3)), np.zeros(16)
-    answers, done = set(), threading.Event()
+    store, answers, done = GrowingStore(70), set(), threading.Event()
+
+    def query():
+        return float(learner.replicas.conditional_log_std(np.zeros((4, 3)), store.states[0], store.images[0])[0][0])
 
     def read():
         while not done.is_set():
-            answers.add(float(learner.replicas.log_std(states, latent)[0]))
+            answers.add(query())
 
     reader = threading.Thread(target=read)
     reader.start()
-    legal = {float(learner.replicas.log_std(states, latent)[0])}
+    legal = {query()}
     try:
         wait_for(lambda: answers)
         for _ in range(5):
             learner.update()
             learner.refresh()
-            legal.add(float(learner.replicas.log_std(states, latent)[0]))
+            legal.add(query())
     finally:
         done.set()
         reader.join(10.0)

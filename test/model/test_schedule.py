@@ -45,7 +45,7 @@ def test_schedule_starts_with_smallest_beta_and_zero_gamma():
 def test_schedule_averages_its_window():
     schedule = Schedule(ObjectiveConfig(schedule_window=2))
     for coverage in (0.2, 0.4, 0.8):
-        assert schedule.evaluate(np.array([0.0, math.log(10.0)]), coverage)
+        schedule.evaluate(np.array([0.0, math.log(10.0)]), coverage)
     assert schedule.gamma == pytest.approx(0.1 * 0.6)
     assert schedule.beta == pytest.approx((10.0**-3.6 + 10.0**-3.2) / 2)
     assert (schedule.coverage, schedule.log_std_min, schedule.log_std_max) == (0.8, 0.0, math.log(10.0))
@@ -56,7 +56,7 @@ def test_non_finite_evaluation_is_only_counted(log_std, coverage):
     schedule = Schedule(ObjectiveConfig())
     schedule.evaluate(np.array([0.0, 1.0]), 0.5)
     before = (schedule.beta, schedule.gamma, schedule.coverage)
-    assert not schedule.evaluate(np.array(log_std), coverage)
+    schedule.evaluate(np.array(log_std), coverage)
     assert (schedule.beta, schedule.gamma, schedule.coverage) == before
     assert schedule.rejected == 1
 

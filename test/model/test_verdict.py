@@ -30,7 +30,6 @@ from embodied_active_learning.model.verdict import ReconstructionErrors, judge_r
 def test_verdict_of_a_run(name, updates, errors, ergodic_measure):
     verdict = judge_run(updates, *errors, ergodic_measure)
     assert verdict.name == name
-    assert verdict.healthy == (name == "healthy")
     assert str(verdict) == f"{name}: {verdict.explanation}"
 
 
@@ -49,7 +48,6 @@ def test_verdict_names_a_remedy(errors, remedy):
 def test_empty_table_has_its_own_verdict():
     verdict = judge_run(900, 0.001, 0.001, 0.001, 0.05, "nothing to learn")
     assert verdict.name == "nothing to learn"
-    assert not verdict.healthy
 
 
 def test_latent_contribution_is_relative_to_the_better_alternative():

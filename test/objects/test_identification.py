@@ -230,7 +230,7 @@ def test_agreeing_views_override_believed_yaw():
     search.observe(*stream())
     wrong = np.array([(*HERE[:2], HERE[2] + 2.5)] * 20)
     search.targets[0].grid.update(wrong, np.ones(20), np.ones(20))
-    pose, _, _, _ = search.targets[0].grid.peaks(SETTINGS.separation, 1)[0]
+    pose, _, _ = search.targets[0].grid.peaks(SETTINGS.separation, 1)[0]
     _, turn = pose_distance(pose, wrong[0])
     assert turn < 0.5
     assert_found(of(search.decide(*stream()), "object-1"), [HERE])

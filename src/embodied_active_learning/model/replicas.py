@@ -59,11 +59,6 @@ class Replicas:
         """Number of updates of the newest model."""
         return self._order[1][1]
 
-    def log_std(self, states: np.ndarray, latent: np.ndarray) -> np.ndarray:
-        """Return the predicted log standard deviation (S,) float32 at states (S, D), for one latent (L,)."""
-        with torch.inference_mode(), self._locked() as replica:
-            return replica.log_std(states, replica.tensor(latent))
-
     def conditional_log_std(
         self, states: np.ndarray, state: np.ndarray, image: np.ndarray, min_updates: int = 0
     ) -> Tuple[np.ndarray, int]:

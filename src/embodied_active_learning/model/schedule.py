@@ -56,17 +56,16 @@ class Schedule:
         """Mean over the window; 0 before the first evaluation."""
         return sum(gamma for _, gamma in self._window) / max(len(self._window), 1)
 
-    def evaluate(self, log_std: np.ndarray, coverage: float) -> bool:
+    def evaluate(self, log_std: np.ndarray, coverage: float) -> None:
         """Add an evaluation: log std at workspace samples (S,) and coverage k. Non-finite input is only counted."""
         if not (math.isfinite(coverage) and np.all(np.isfinite(log_std))):
             self.rejected += 1
-            return False
+            return
         config = self._config
         beta = beta_from_log_std(log_std, coverage, config.chi, config.beta_max)
         self._window.append((beta, gamma_from_coverage(coverage, config.gamma_weight)))
         self.coverage = float(coverage)
         self.log_std_min, self.log_std_max = float(np.min(log_std)), float(np.max(log_std))
-        return True
 
     def state_dict(self) -> Dict[str, Any]:
         """Return the state as plain numbers and lists."""

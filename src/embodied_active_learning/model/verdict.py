@@ -39,11 +39,6 @@ class Verdict:
     name: str
     explanation: str
 
-    @property
-    def healthy(self) -> bool:
-        """Whether there is nothing to complain about."""
-        return self.name == "healthy"
-
     def __str__(self) -> str:
         return f"{self.name}: {self.explanation}"
 

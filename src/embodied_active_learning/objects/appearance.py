@@ -106,7 +106,6 @@ class Appearance:
                 "the table around it has colours that the other views do not show, so that object and table cannot be "
                 "told apart: learn it on a plainer table"
             )
-        self.clutter = share
         std = self.inside_features[self.usable].std(axis=1)
         self.contrast = float(np.median(std[:, 0])), float(np.median(np.hypot(std[:, 1], std[:, 2])))
         self.middle = self.inside_points[self.usable].mean(axis=(0, 1))

@@ -30,13 +30,11 @@ class Peak(NamedTuple):
         pose: (3,) x [m], y [m], theta [rad].
         mean: Mean belief at the peak, 0 to 1.
         std: Standard deviation of the belief at the peak.
-        prominence: Mean minus the median over all grid points in x and y, each at its best yaw.
     """
 
     pose: np.ndarray
     mean: float
     std: float
-    prominence: float
 
 
 class BeliefGrid:
@@ -118,7 +116,6 @@ class BeliefGrid:
         spacing = (self.x[1] - self.x[0], self.y[1] - self.y[0])
         size = [2 * max(1, int(0.5 * distance / step)) + 1 for step in spacing]
         rows, columns = np.nonzero((maximum_filter(highest, size) == highest) & inside)
-        median = float(np.median(mean.max(axis=2)))
         found: List[Peak] = []
         for index in np.argsort(-highest[rows, columns], kind="stable"):
             row, column = rows[index], columns[index]
@@ -126,7 +123,7 @@ class BeliefGrid:
             pose = np.array([self.x[row], self.y[column], self.yaw[yaw]])
             if all(np.hypot(*(pose - other.pose)[:2]) >= distance for other in found):
                 top, std = float(highest[row, column]), 1.0 / math.sqrt(self._information[row, column, yaw])
-                found.append(Peak(pose, top, std, top - median))
+                found.append(Peak(pose, top, std))
             if len(found) == most:
                 break
         return found

@@ -56,13 +56,11 @@ class Candidate(NamedTuple):
     Attributes:
         pose: (3,) x [m], y [m], theta [rad].
         similarity: Median over the views, 1 at best; -1 if no view shows enough of the place.
-        views: (V,) the images that were compared.
-        near: Number of them from near the place.
+        near: Number of images from near the place.
     """
 
     pose: np.ndarray
     similarity: float
-    views: np.ndarray
     near: int
 
 
@@ -126,10 +124,10 @@ def refine(
     if near < MIN_VIEWS:
         chosen = views.nearest(above, MIN_VIEWS, _FAR * settings.view_distance)
     if not len(chosen):
-        return Candidate(starts[0], -1.0, chosen, near)
+        return Candidate(starts[0], -1.0, near)
     pose = best_pose(appearance, views, chosen, starts, least=_PROMISING * miss)
     value = similarity(appearance, views, chosen, stored_views(appearance, views, chosen, pose), pose[None])
-    return Candidate(pose, float(value[0]), chosen, near)
+    return Candidate(pose, float(value[0]), near)
 
 
 def best_pose(
@@ -160,11 +158,11 @@ def best_pose(
         poses.append(near[found.argmax()])
         values.append(float(found.max()))
     order = np.argsort(values)[::-1][:_CLIMBS]
-    followed = [climb(appearance, views, chosen, poses[index], excluded) for index in order if values[index] >= least]
+    followed = [_climb(appearance, views, chosen, poses[index], excluded) for index in order if values[index] >= least]
     return max(followed, key=lambda item: item[1])[0] if followed else poses[order[0]]
 
 
-def climb(
+def _climb(
     appearance: Appearance, views: Views, chosen: Indices, pose: np.ndarray, excluded: Indices = ()
 ) -> Tuple[np.ndarray, float]:
     """Return a more similar pose (3,) close to a pose (3,), and its similarity in half of the points."""

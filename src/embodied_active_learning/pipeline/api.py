@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Union
 
-from embodied_active_learning.config import Config, SessionConfig
+from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, ObservationError
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.collection import ViewCollection
@@ -48,7 +48,7 @@ def load_session(session: SessionLike) -> Session:
     if isinstance(session, Session):
         return session
     if isinstance(session, str) and os.sep not in session:
-        return Session.open_read_only(find_session(session_root(Config(session=SessionConfig())), session))
+        return Session.open_read_only(find_session(session_root(Config()), session))
     return Session.open_read_only(Path(os.path.abspath(os.path.expanduser(session))))
 
 

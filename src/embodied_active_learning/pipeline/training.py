@@ -273,7 +273,7 @@ class TrainingRun:
         """Make an update that is reported as number `end` at most."""
         report = self._learner.update(trainers)
         report = dataclasses.replace(report, update=min(report.update, end))
-        self._tables["training"].append(dataclasses.asdict(report))
+        self._tables["training"].append(report)
         on_update(report)
 
     def _make_round(self, pool: WorkerPool, on_update: Callable[[UpdateReport], None]) -> None:
@@ -311,7 +311,7 @@ class TrainingRun:
             return False
         evaluation = self._learner.evaluate()
         if to_record:
-            self._tables["evaluation"].append(dataclasses.asdict(evaluation))
+            self._tables["evaluation"].append(evaluation)
         if early_stop is None or not to_check:
             return False
         check = early_stop.check(self._learner, evaluation, self._store.snapshot())

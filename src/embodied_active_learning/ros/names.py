@@ -29,7 +29,6 @@ FRANKA_COLLISION = "franka_control/set_full_collision_behavior"
 FRANKA_LOAD = "franka_control/set_load"
 CONTROLLERS = "controller_manager/list_controllers"
 CONTROLLER_LOAD = "controller_manager/load_controller"
-CONTROLLER_UNLOAD = "controller_manager/unload_controller"
 CONTROLLER_SWITCH = "controller_manager/switch_controller"
 
 # Names of an arm with velocity service, the paper's hardware interface.
