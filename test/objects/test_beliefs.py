@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import IdentificationConfig
-from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
+from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights, shared_scale
 from embodied_active_learning.workspace import Workspace
 
 WORKSPACE = Workspace()
@@ -248,6 +248,13 @@ def test_half_weight_halves_information():
     whole = measure(make_grid(), (pose, 0.8, 1.0))
     np.testing.assert_allclose(halves.mean, whole.mean, rtol=1e-12)
     np.testing.assert_allclose(halves.std, whole.std, rtol=1e-12)
+
+
+def test_maps_share_a_scale_with_a_smallest_range():
+    flat, peaked = make_grid(), measure(make_grid(), ((0.45, 0.0, 1.0), 1.0))
+    assert shared_scale([flat.prominence()]) == 0.05
+    assert np.median(peaked.prominence()) == pytest.approx(0.0, abs=1e-12)
+    assert shared_scale([flat.prominence(), peaked.prominence()]) == peaked.prominence().max() > 0.05
 
 
 def test_over_yaw_returns_best_yaw_and_its_std():

@@ -29,6 +29,7 @@ from embodied_active_learning.figures.workspace_axes import (
     mark_objects,
     show_extent,
 )
+from embodied_active_learning.objects.beliefs import shared_scale
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.report import UNKNOWN, Truth
 from embodied_active_learning.workspace import Workspace
@@ -43,8 +44,6 @@ _LEFT, _TOP, _BOTTOM = 0.65, 1.1, 1.2  # borders of the figure; the colour bar i
 _BAR_WIDTH, _BAR_HEIGHT, _BAR_BOTTOM = 4.0, 0.12, 0.6
 _TITLE_WIDTH, _TITLE_LINES = 42, 3  # characters, lines
 _NOTE_WIDTH = 20  # characters
-_MIN_RANGE = 0.05
-"""Smallest range of the colour scale: small variations of flat beliefs do not look like peaks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +57,7 @@ class BeliefPanel:
         y: (ny,) centres of the cells [m], equal in all panels.
         mean: (nx, ny) largest mean over yaw.
         std: (nx, ny) standard deviation at that yaw.
+        relief: (nx, ny) prominence of the belief.
         decisions: Decisions about this fingerprint.
     """
 
@@ -67,6 +67,7 @@ class BeliefPanel:
     y: np.ndarray
     mean: np.ndarray
     std: np.ndarray
+    relief: np.ndarray
     decisions: Sequence[Decision]
 
 
@@ -100,7 +101,7 @@ def beliefs_figure(
     maps = [place(figure, left, top, _MAP, _MAP) for left, top in corners]
     if view is not None:
         _draw_view(maps[0], view, workspace, _extent(panels[0]) if panels else extent_of(workspace), truth)
-    limits, image = _colour_limits(panels), None
+    limits, image = (0.0, shared_scale(panel.relief for panel in panels)), None
     for axes, (left, top), panel in zip(maps[before:], corners[before:], panels):
         image = _draw_map(axes, panel, limits, workspace, truth)
         _draw_note(place(figure, left + _MAP + _GAP, top, _THUMBNAIL, _THUMBNAIL), panel, truth)
@@ -144,7 +145,7 @@ def _draw_map(
 ) -> AxesImage:
     """Draw one belief map with its decisions."""
     extent = _extent(panel)
-    image = draw_map(axes, _prominence(panel).T, extent, limits)
+    image = draw_map(axes, panel.relief.T, extent, limits)
     show_extent(axes, extent)
     draw_box(axes, extent_of(workspace), "white")
     mark_objects(axes, truth.objects, behind=True)
@@ -177,16 +178,6 @@ def _outcome(decisions: Sequence[Decision], truth: Truth) -> Tuple[str, str, Lis
     if not decisions:
         return "not decided", GREY, []
     return decisions[0].outcome, GREY, textwrap.wrap(decisions[0].reason, _NOTE_WIDTH)
-
-
-def _prominence(panel: BeliefPanel) -> np.ndarray:
-    """Belief above the median of its map (nx, ny): most of a map is background at about the median."""
-    return panel.mean - np.median(panel.mean)
-
-
-def _colour_limits(panels: Sequence[BeliefPanel]) -> Tuple[float, float]:
-    """Colour scale of all maps."""
-    return 0.0, max([_MIN_RANGE, *(float(_prominence(panel).max()) for panel in panels)])
 
 
 def _extent(panel: BeliefPanel) -> Extent:

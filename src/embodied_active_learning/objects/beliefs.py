@@ -7,7 +7,7 @@ each image by Bayes' rule.
 from __future__ import annotations
 
 import math
-from typing import List, NamedTuple, Tuple
+from typing import Iterable, List, NamedTuple, Tuple
 
 import numpy as np
 import torch
@@ -19,6 +19,8 @@ from embodied_active_learning.workspace import Workspace
 
 _PRIOR_MEAN = 0.5
 _PRIOR_VARIANCE = 2.0
+_MIN_RANGE = 0.05
+"""Smallest range of a scale: small variations of flat beliefs do not look like peaks."""
 _BATCH = 16
 """Measurements per matrix product: few enough to stay in the CPU cache."""
 
@@ -102,6 +104,11 @@ class BeliefGrid:
         best = mean.argmax(axis=2)[..., None]
         return np.take_along_axis(mean, best, 2)[..., 0], np.take_along_axis(self.std, best, 2)[..., 0]
 
+    def prominence(self) -> np.ndarray:
+        """Return the largest mean over yaw above its median (nx, ny): most of a map is background at the median."""
+        values, _ = self.over_yaw()
+        return values - np.median(values)
+
     def peaks(self, distance: float, most: int) -> List[Peak]:
         """Return local maxima inside the workspace, highest first.
 
@@ -149,6 +156,11 @@ class BeliefGrid:
         """Whether each of the poses (N, 3) lies on the grid: (N,) bool."""
         x, y = poses[:, 0], poses[:, 1]
         return (self.x[0] <= x) & (x <= self.x[-1]) & (self.y[0] <= y) & (y <= self.y[-1])
+
+
+def shared_scale(reliefs: Iterable[np.ndarray]) -> float:
+    """Return the largest prominence of several maps (nx, ny), the end of their common scale."""
+    return max([_MIN_RANGE, *(float(relief.max()) for relief in reliefs)])
 
 
 class EvidenceWeights:

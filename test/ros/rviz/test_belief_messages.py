@@ -7,7 +7,7 @@ import rospy
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.objects.beliefs import BeliefGrid
-from embodied_active_learning.ros.rviz.beliefs import grid_message, prominence
+from embodied_active_learning.ros.rviz.beliefs import grid_message
 from embodied_active_learning.ros.rviz.fingerprints import fingerprint_message
 from embodied_active_learning.workspace import Workspace
 from sample_fingerprints import make_set
@@ -22,7 +22,7 @@ def make_grid(value):
 def test_grids_share_one_scale():
     """A weak belief stays dark next to a strong one."""
     weak, strong = make_grid(0.55), make_grid(1.0)
-    scale = float(prominence(strong).max())
+    scale = float(strong.prominence().max())
     low, high = (max(grid_message(rospy.Time(1), grid, scale).data) for grid in (weak, strong))
     assert high == 100
     assert 5 <= low <= 20

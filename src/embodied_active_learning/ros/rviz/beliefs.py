@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from embodied_active_learning.msg import Belief, BeliefArray
 from embodied_active_learning.msg import Decision as DecisionMessage
-from embodied_active_learning.objects.beliefs import BeliefGrid
+from embodied_active_learning.objects.beliefs import BeliefGrid, shared_scale
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.search_target import SearchTarget
@@ -30,9 +30,6 @@ from embodied_active_learning.ros.rviz.markers import (
     disc_marker,
     label_marker,
 )
-
-_MIN_RANGE = 0.05
-"""Smallest range of the grids: small variations of flat beliefs do not look like peaks."""
 
 
 class RvizBeliefs:
@@ -79,8 +76,8 @@ class RvizBeliefs:
         if not (always or any(item.get_num_connections() for item in [*publishers, self._reliefs])):
             return
         stamp = rospy.Time.now()
-        reliefs = [prominence(target.grid) for target in targets]
-        scale = max([_MIN_RANGE, *(float(relief.max()) for relief in reliefs)])
+        reliefs = [target.grid.prominence() for target in targets]
+        scale = shared_scale(reliefs)
         for target, publisher in zip(targets, publishers):
             if always or publisher.get_num_connections():
                 publisher.publish(grid_message(stamp, target.grid, scale))
@@ -136,18 +133,12 @@ def decision_message(decision: Decision) -> DecisionMessage:
     )
 
 
-def prominence(grid: BeliefGrid) -> np.ndarray:
-    """Return the largest mean over yaw above its median (nx, ny)."""
-    values, _ = grid.over_yaw()
-    return values - np.median(values)
-
-
 def grid_message(stamp: rospy.Time, grid: BeliefGrid, scale: float) -> OccupancyGrid:
     """Return the prominence of a belief as an occupancy grid: 0 at the median of the map and below, 100 at `scale`.
 
     An occupancy grid has square cells, so a belief with other cells is interpolated.
     """
-    shown = np.clip(prominence(grid) / scale, 0.0, 1.0)
+    shown = np.clip(grid.prominence() / scale, 0.0, 1.0)
     cell = float(min(grid.x[1] - grid.x[0], grid.y[1] - grid.y[0]))
     x, y = (np.arange(axis[0], axis[-1] + 0.5 * cell, cell) for axis in (grid.x, grid.y))
     points = np.stack(np.meshgrid(x.clip(grid.x[0], grid.x[-1]), y.clip(grid.y[0], grid.y[-1]), indexing="ij"), axis=-1)
