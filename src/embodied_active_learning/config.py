@@ -372,6 +372,13 @@ class Config:
         """Return sections of keys as plain data; tuples become lists."""
         return to_plain(self)
 
+    def portable(self) -> Dict[str, Any]:
+        """Return sections of keys without this computer's paths: no section session, the world by name."""
+        sections = self.to_dict()
+        del sections["session"]
+        sections["simulation"]["world"] = Path(self.simulation.world).stem
+        return sections
+
 
 def load_profile(path: Path) -> Dict[str, Any]:
     """Read the sections of keys that a YAML profile sets. Raises ConfigError naming the file and the key."""

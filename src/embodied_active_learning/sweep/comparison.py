@@ -13,7 +13,6 @@ from embodied_active_learning.figures.curves import Curve
 from embodied_active_learning.schema import nearest, settings
 from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.sweep.run_records import RECORD_FILE, Record, load_record
-from embodied_active_learning.sweep.spec import portable_settings
 
 POINTS = 50
 """Positions of the common axis that runs are interpolated to."""
@@ -71,7 +70,7 @@ def group_records(records: Sequence[Record], key: str) -> Dict[str, List[Record]
     groups: Dict[str, List[Record]] = {}
     for record in records:
         section, _, name = key.partition("/")
-        value = record.variant if key == "variant" else portable_settings(record.config)[section][name]
+        value = record.variant if key == "variant" else record.config.portable()[section][name]
         groups.setdefault(str(value), []).append(record)
     return groups
 

@@ -32,7 +32,6 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import Summary
 from embodied_active_learning.session.tables import COLUMNS, read_table
 from embodied_active_learning.simulation.truth import true_objects
-from embodied_active_learning.sweep.spec import portable_settings
 
 FORMAT = "embodied_active_learning/record"
 RECORD_FILE = "record.yaml"
@@ -142,7 +141,7 @@ def write_record(folder: Path, record: Record) -> None:
         version=CONFIG_VERSION,
         package_version=__version__,
         summary=record.summary,
-        config=portable_settings(record.config),
+        config=record.config.portable(),
         computer=record.computer,
         variant=record.variant,
         failure=record.failure,

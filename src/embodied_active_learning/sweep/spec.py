@@ -115,7 +115,7 @@ def differences(stored: Config, wanted: Config) -> List[str]:
 
     Clustering (section fingerprint) influences a run that ends once its objects are stable.
     """
-    before, after = portable_settings(stored), portable_settings(wanted)
+    before, after = stored.portable(), wanted.portable()
     ignored = dict(_NOT_COMPARED)
     if wanted.may_stop_early:
         del ignored["fingerprint"]
@@ -125,14 +125,6 @@ def differences(stored: Config, wanted: Config) -> List[str]:
         for key, value in keys.items()
         if value != after[section][key] and not (section in ignored and key in (ignored[section] or keys))
     ]
-
-
-def portable_settings(config: Config) -> Dict[str, Dict[str, Any]]:
-    """Return the sections of a configuration without paths of a computer."""
-    sections = config.to_dict()
-    del sections["session"]
-    sections["simulation"]["world"] = Path(config.simulation.world).stem
-    return sections
 
 
 def _beside(path: Path, world: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Dict
 
 import yaml
@@ -14,10 +13,7 @@ from embodied_active_learning.files import MAX_YAML_SIZE, parse_yaml, short_repr
 
 def settings_text(config: Config) -> str:
     """Return the configuration as YAML, without the recording computer's paths."""
-    values = {"version": CONFIG_VERSION, **config.to_dict()}
-    values.pop("session")
-    values["simulation"]["world"] = Path(config.simulation.world).stem
-    return yaml.safe_dump(values, sort_keys=False)
+    return yaml.safe_dump({"version": CONFIG_VERSION, **config.portable()}, sort_keys=False)
 
 
 def read_settings(text: str) -> Dict[str, Any]:
