@@ -53,6 +53,10 @@ class RobotError(EmbodiedActiveLearningError):
     """The robot's driver rejected a request or did not respond."""
 
 
+class ServiceError(EmbodiedActiveLearningError):
+    """A service of another node did not respond, or responded with an error."""
+
+
 class MissingPackageError(EmbodiedActiveLearningError):
     """An optional package is not installed."""
 

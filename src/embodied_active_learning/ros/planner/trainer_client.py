@@ -8,7 +8,7 @@ from typing import Optional, Tuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
+from embodied_active_learning.errors import ServiceError, SessionError
 from embodied_active_learning.msg import Observation
 from embodied_active_learning.pipeline.exploration import await_log_std
 from embodied_active_learning.ros import names
@@ -49,11 +49,11 @@ class TrainerClient:
         """Store an observation; on return it is on the trainer's disk.
 
         Raises:
-            EmbodiedActiveLearningError: the trainer refused the observation.
+            ServiceError: the trainer refused the observation.
         """
         response = self._observe.call(ObserveRequest(observation))
         if not response.success:
-            raise EmbodiedActiveLearningError(f"observation {observation.index} was not stored: {response.message}")
+            raise ServiceError(f"observation {observation.index} was not stored: {response.message}")
 
     def log_std(self, states: np.ndarray, observations: int) -> Optional[np.ndarray]:
         """Return the log standard deviation (S,) at states (S, 3) [m, m, rad]; None before anything is learned.
@@ -61,7 +61,7 @@ class TrainerClient:
         Waits for the model that is awaited after this many observations.
 
         Raises:
-            EmbodiedActiveLearningError: the trainer refused the states.
+            ServiceError: the trainer refused the states.
         """
         request, made = EvaluateEntropyRequest(states=np.asarray(states).ravel().tolist()), 0
 
@@ -70,7 +70,7 @@ class TrainerClient:
             request.min_updates = min_updates
             response = self._entropy.call(request)
             if not response.success:
-                raise EmbodiedActiveLearningError(f"the trainer returned no entropy: {response.message}")
+                raise ServiceError(f"the trainer returned no entropy: {response.message}")
             made = response.updates
             self._config = self._config.with_steps(response.steps)
             return np.array(response.log_std) if response.learned else None, response.ready
@@ -83,7 +83,8 @@ def save_model() -> None:
     """Let a running trainer, if there is one, store its current model.
 
     Raises:
-        EmbodiedActiveLearningError: the trainer does not respond, or cannot store it.
+        ServiceError: the trainer does not respond.
+        SessionError: It cannot store the model.
     """
     response = trigger_if_advertised(names.TRAINER_SAVE)
     if response is not None and not response.success:

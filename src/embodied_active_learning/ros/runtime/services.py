@@ -12,7 +12,7 @@ import rospy
 from rospy.exceptions import TransportException
 from std_srvs.srv import Trigger, TriggerResponse
 
-from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.errors import EmbodiedActiveLearningError, ServiceError
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
 from embodied_active_learning.ros.runtime.node import ShutdownRequestedError, is_shutting_down, wait_until
 from embodied_active_learning.ros.runtime.wait_log import log_wait
@@ -44,7 +44,7 @@ class RetryingService:
 
         Raises:
             ShutdownRequestedError: the node was shut down meanwhile.
-            EmbodiedActiveLearningError: the server's handler raised an exception.
+            ServiceError: the server's handler raised an exception.
         """
         with log_service_wait(self._name), self._lock:
             return self._call(request)
@@ -58,7 +58,7 @@ class RetryingService:
                 return self._proxy(request)
             except TRANSPORT_ERRORS as error:
                 if HANDLER_FAILED in str(error):
-                    raise EmbodiedActiveLearningError(f"{self._name} failed: {error}; see its node's log") from error
+                    raise ServiceError(f"{self._name} failed: {error}; see its node's log") from error
                 rospy.logdebug("%s: %s", self._name, error)
                 self._disconnect()
                 time.sleep(0.1)
@@ -97,7 +97,7 @@ def is_advertised(name: str) -> bool:
 def trigger_if_advertised(name: str) -> Optional[TriggerResponse]:
     """Call a std_srvs/Trigger service and return its response, or None if it has no server.
 
-    Raises EmbodiedActiveLearningError if the server does not respond.
+    Raises ServiceError if the server does not respond.
     """
     if not is_advertised(name):
         return None
@@ -105,7 +105,7 @@ def trigger_if_advertised(name: str) -> Optional[TriggerResponse]:
         with log_service_wait(rospy.resolve_name(name)):
             return rospy.ServiceProxy(name, Trigger)()
     except TRANSPORT_ERRORS as error:
-        raise EmbodiedActiveLearningError(f"no response of {rospy.resolve_name(name)}: {error}") from error
+        raise ServiceError(f"no response of {rospy.resolve_name(name)}: {error}") from error
 
 
 @contextmanager
