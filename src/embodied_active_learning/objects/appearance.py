@@ -63,52 +63,29 @@ class Appearance:
         in_view: (V, SIDE, SIDE) which of their pixels the image shows.
         masks: (V, SIDE, SIDE) which of them are the object's.
         area: Median visible area of the object [m^2].
-        contrast: Standard deviation of the object's log luminance, and of its colour.
-        middle: (2,) mean position of its pixels [m].
+        contrast: Standard deviation of the object's log luminance, and of its colour; NaN without usable views.
+        middle: (2,) mean position of its pixels [m]; NaN without usable views.
         problem: Why the object cannot be recognised, and the remedy; empty if it can.
     """
 
     def __init__(self, fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], camera: CameraConfig) -> None:
         """Learn the appearance from the views of a fingerprint; the others of its set show more of the table."""
-        views = len(fingerprint.states)
         self.fingerprint = fingerprint
         self.camera = camera
         self.offsets = relative_positions(fingerprint.states, fingerprint.centre)
-        self.inside_points: np.ndarray = np.zeros((views, INSIDE_POINTS, 2), np.float32)
-        self.inside_features: np.ndarray = np.zeros((views, INSIDE_POINTS, 3), np.float32)
-        self.ring_points: np.ndarray = np.zeros((views, RING_POINTS, 2), np.float32)
-        self.ring_features: np.ndarray = np.zeros((views, RING_POINTS, 3), np.float32)
-        self.masks: np.ndarray = np.zeros((views, SIDE, SIDE), dtype=bool)
         self.colours, self.in_view = self._rectified()
-        self.problem = ""
-        middle = colour_features(self.colours[:, _MIDDLE, _MIDDLE][self.in_view[:, _MIDDLE, _MIDDLE]])
-        table = _table(fingerprint, fingerprints, middle, camera)
-        random = np.random.default_rng(0)
-        clutter, near = np.zeros(views), _away_from_others(fingerprint, fingerprints)
-        for view in range(views):
-            features = colour_features(self.colours[view])
-            foreground = (table.distance(features) > _FOREGROUND) & self.in_view[view]
-            self.masks[view] = _object_mask(foreground)
-            clutter[view] = (foreground & near & ~cv2.dilate(self.masks[view].astype(np.uint8), _CLOSING)).sum()
-            if self.masks[view].sum() >= _MIN_PIXELS:
-                self._sample(view, features, random)
+        features = [colour_features(colours) for colours in self.colours]
+        self.masks, clutter = self._segment(features, fingerprints)
         sizes = self.masks.sum(axis=(1, 2))
         self.usable = (sizes >= _MIN_PIXELS) & (sizes > _SIMILAR_AREA * np.median(sizes))
         self.area = float(np.median(sizes)) * PIXEL**2
-        if self.usable.sum() < views / 2:
-            self.problem = (
-                "no object distinct from the table in its views: train longer, or learn it on a table of another colour"
-            )
-            return
-        share = float(np.median(clutter[self.usable] / sizes[self.usable]))
-        if share > _CLUTTER:
-            self.problem = (
-                "the table around it has colours that the other views do not show, so that object and table cannot be "
-                "told apart: learn it on a plainer table"
-            )
-        std = self.inside_features[self.usable].std(axis=1)
-        self.contrast = float(np.median(std[:, 0])), float(np.median(np.hypot(std[:, 1], std[:, 2])))
-        self.middle = self.inside_points[self.usable].mean(axis=(0, 1))
+        self._sample(features)
+        self.contrast, self.middle = (np.nan, np.nan), np.full(2, np.nan)
+        if self.usable.any():
+            std = self.inside_features[self.usable].std(axis=1)
+            self.contrast = float(np.median(std[:, 0])), float(np.median(np.hypot(std[:, 1], std[:, 2])))
+            self.middle = self.inside_points[self.usable].mean(axis=(0, 1))
+        self.problem = self._problem(clutter)
 
     def nearest_views(self, offsets: np.ndarray, excluded: Union[Sequence[int], np.ndarray] = ()) -> np.ndarray:
         """Return the usable views (N,) from next to relative camera positions (N, 2) [m], without some of them."""
@@ -141,21 +118,64 @@ class Appearance:
         colours, valid = (np.array(part) for part in zip(*views))
         return colours.reshape(-1, SIDE, SIDE, 3), valid.reshape(-1, SIDE, SIDE)
 
-    def _sample(self, view: int, features: np.ndarray, random: np.random.Generator) -> None:
-        """Draw the sample points of a view with features (SIDE, SIDE, 3)."""
-        mask = self.masks[view].astype(np.uint8)
-        inside = cv2.erode(mask, _CROSS)
-        inside = inside if inside.sum() >= _MIN_PIXELS / 2 else mask
-        ring = (cv2.dilate(mask, _RING_OUTER) > 0) & (cv2.dilate(mask, _RING_INNER) == 0)
-        extended = _extended(features, np.greater(inside, 0))
-        for shown, count, points, values in (
-            (inside > 0, INSIDE_POINTS, self.inside_points, self.inside_features),
-            (ring, RING_POINTS, self.ring_points, self.ring_features),
-        ):
-            pixels = np.flatnonzero(shown)
-            if len(pixels):
-                chosen = random.choice(pixels, count, replace=len(pixels) < count)
-                points[view], values[view] = _GRID[chosen], extended.reshape(-1, 3)[chosen]
+    def _segment(
+        self, features: Sequence[np.ndarray], fingerprints: Sequence[Fingerprint]
+    ) -> Tuple[np.ndarray, np.ndarray]:
+        """Separate object and table in all views.
+
+        Args:
+            features: (SIDE, SIDE, 3) of each view.
+            fingerprints: All fingerprints of the set.
+
+        Returns:
+            Masks (V, SIDE, SIDE) of the object, and the number of pixels (V,) around it with colours of neither.
+        """
+        middle = colour_features(self.colours[:, _MIDDLE, _MIDDLE][self.in_view[:, _MIDDLE, _MIDDLE]])
+        table = _table(self.fingerprint, fingerprints, middle, self.camera)
+        near = _away_from_others(self.fingerprint, fingerprints)
+        masks: np.ndarray = np.zeros(self.in_view.shape, dtype=bool)
+        clutter = np.zeros(len(masks))
+        for view, in_view in enumerate(self.in_view):
+            foreground = (table.distance(features[view]) > _FOREGROUND) & in_view
+            masks[view] = _object_mask(foreground)
+            clutter[view] = (foreground & near & ~cv2.dilate(masks[view].astype(np.uint8), _CLOSING)).sum()
+        return masks, clutter
+
+    def _sample(self, features: Sequence[np.ndarray]) -> None:
+        """Draw the sample points of all views, with features (SIDE, SIDE, 3) each, that show enough of the object."""
+        views, random = len(self.masks), np.random.default_rng(0)
+        self.inside_points: np.ndarray = np.zeros((views, INSIDE_POINTS, 2), np.float32)
+        self.inside_features: np.ndarray = np.zeros((views, INSIDE_POINTS, 3), np.float32)
+        self.ring_points: np.ndarray = np.zeros((views, RING_POINTS, 2), np.float32)
+        self.ring_features: np.ndarray = np.zeros((views, RING_POINTS, 3), np.float32)
+        for view in np.flatnonzero(self.masks.sum(axis=(1, 2)) >= _MIN_PIXELS):
+            mask = self.masks[view].astype(np.uint8)
+            inside = cv2.erode(mask, _CROSS)
+            inside = inside if inside.sum() >= _MIN_PIXELS / 2 else mask
+            ring = (cv2.dilate(mask, _RING_OUTER) > 0) & (cv2.dilate(mask, _RING_INNER) == 0)
+            extended = _extended(features[view], np.greater(inside, 0)).reshape(-1, 3)
+            for shown, count, points, values in (
+                (inside > 0, INSIDE_POINTS, self.inside_points, self.inside_features),
+                (ring, RING_POINTS, self.ring_points, self.ring_features),
+            ):
+                pixels = np.flatnonzero(shown)
+                if len(pixels):
+                    chosen = random.choice(pixels, count, replace=len(pixels) < count)
+                    points[view], values[view] = _GRID[chosen], extended[chosen]
+
+    def _problem(self, clutter: np.ndarray) -> str:
+        """Return why the object cannot be recognised, or an empty text. clutter: (V,) pixels, see _segment."""
+        if self.usable.sum() < len(self.usable) / 2:
+            return (
+                "no object distinct from the table in its views: train longer, or learn it on a table of another colour"
+            )
+        sizes = self.masks.sum(axis=(1, 2))
+        if float(np.median(clutter[self.usable] / sizes[self.usable])) > _CLUTTER:
+            return (
+                "the table around it has colours that the other views do not show, so that object and table cannot be "
+                "told apart: learn it on a plainer table"
+            )
+        return ""
 
 
 def relative_positions(states: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -110,16 +110,13 @@ def find_objects(
     chosen = np.sort(random.choice(len(states), min(settings.latents, len(states)), replace=False))
     latents, _ = model.encode(states[chosen], images[chosen])
     workspace = config.workspace.box()
-    proposals = random.uniform(
-        workspace.lower, workspace.upper, (_PROPOSALS_PER_SAMPLE * settings.samples, workspace.size)
-    )
-    std = np.exp(model.log_std(latents, proposals)).mean(axis=0)
+    proposals, std = _sample_entropy(model, latents, settings.samples, workspace, random)
     low, high = np.quantile(std, _CONTRAST_QUANTILES)
     contrast = float(high / low)
     background = _background(model, latents, states, images)
     visible = map_foreground(states, images, background, config)
     if contrast < settings.min_contrast:
-        return Clustering(contrast, True, (), (), visible, background)
+        return Clustering(contrast, flat=True, clusters=(), unreachable=(), visible=visible, background=background)
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == "camera":
@@ -133,12 +130,28 @@ def find_objects(
     blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(
         contrast,
-        False,
-        (*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
-        tuple(cluster for cluster, within in zip(objects, reachable) if not within),
-        visible,
-        background,
+        flat=False,
+        clusters=(*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
+        unreachable=tuple(cluster for cluster, within in zip(objects, reachable) if not within),
+        visible=visible,
+        background=background,
     )
+
+
+def _sample_entropy(
+    model: TrainedModel, latents: np.ndarray, samples: int, workspace: Workspace, random: np.random.Generator
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Draw states (P, 3) uniformly, and return them with their predicted standard deviation (P,).
+
+    Args:
+        model: The model of the session.
+        latents: (N, L) over which the standard deviation is averaged.
+        samples: Number of importance samples that the states are for.
+        workspace: Where to draw from.
+        random: Generator of the draws.
+    """
+    states = random.uniform(workspace.lower, workspace.upper, (_PROPOSALS_PER_SAMPLE * samples, workspace.size))
+    return states, np.exp(model.log_std(latents, states)).mean(axis=0)
 
 
 def _warn_about_bandwidth(settings: FingerprintConfig) -> None:
