@@ -26,7 +26,7 @@ def log(text: str) -> None:
 
 
 def main() -> int:
-    """Run undisturbed, run with kills, and compare -> exit status."""
+    """Run undisturbed, run with kills, and compare; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--steps", type=int, default=250, help="exploration steps of the run")

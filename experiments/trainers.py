@@ -87,7 +87,7 @@ def train(run: TrainingRun, trainers: int) -> None:
 
 
 def measure_quality(stored: Session, steps: int, trainers: int, updates_per_round: int, seed: int) -> Dict[str, Any]:
-    """Train on the observations of a session -> row of QUALITY."""
+    """Train on the observations of a session; return a row of QUALITY."""
     with tempfile.TemporaryDirectory() as root, stored.open_observations() as store:
         config = with_training(stored.config, root, seed, steps, trainers=trainers, updates_per_round=updates_per_round)
         run = TrainingRun(config)
@@ -187,7 +187,7 @@ def small(root: str, seed: int) -> Config:
 
 
 def measure_kills(seed: int, limit: int) -> Dict[str, Any]:
-    """Train while workers are killed and frozen, at most `limit` kills -> row of KILLS."""
+    """Train while workers are killed and frozen, at most `limit` kills; return a row of KILLS."""
     draws = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as root:
         config = small(root, seed)

@@ -116,7 +116,7 @@ def average_synchronously(config: Config, rank: int, rounds: int) -> None:
 
 
 def measure(hosts: Hosts, updates_per_round: int, rounds: int) -> Dict[str, Any]:
-    """Run all trainers -> medians over the rounds after the first. updates_per_round: 0 for synchronous averaging."""
+    """Run all trainers; return medians over all rounds but the first. updates_per_round: 0 to average synchronously."""
     variables = {**os.environ, "GLOO_SOCKET_IFNAME": "eth0", "OMP_NUM_THREADS": "1"}
     with ExitStack() as running, TemporaryDirectory() as root:
 

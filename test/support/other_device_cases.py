@@ -34,7 +34,7 @@ def weights(run):
 
 
 def learn(configuration, indices):
-    """Train a run on observations -> the run, its reports and its final answers."""
+    """Train a run on observations; return the run, its reports and its final responses."""
     run = TrainingRun(configuration)
     with training(run) as (reports, finished, errors):
         hand_over(run, indices)

@@ -25,7 +25,7 @@ def stand_in(home, variables, *arguments, prefix=()):
 
 
 def call(variables, service, request="{}", prefix=()):
-    """Call a service with rosservice -> its output."""
+    """Call a service with rosservice and return its output."""
     command = [*prefix, "rosservice", "call", "--wait", service, request]
     return subprocess.run(command, env=variables, check=True, capture_output=True, text=True, timeout=60).stdout
 

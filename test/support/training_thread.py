@@ -48,7 +48,7 @@ def hand_over(run, indices):
 
 @contextmanager
 def training(run):
-    """Train a run in a thread -> Training; stopped and closed when the block ends."""
+    """Train a run in a thread and yield Training; stopped and closed when the block ends."""
     output = Training([], threading.Event(), [])
 
     def train():

@@ -94,7 +94,7 @@ class Link:
 
 
 def serve_store(address: str) -> Tuple[distributed.TCPStore, int]:
-    """Start a store that listens on one address -> store and port. Raises LinkError if that is not possible."""
+    """Start a store that listens on one address; return store and port. Raises LinkError if that is not possible."""
     try:
         family, kind, protocol, _, where = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)[0]
         listening = socket.socket(family, kind, protocol)

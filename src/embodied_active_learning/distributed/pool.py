@@ -102,7 +102,7 @@ class Worker:
         self.dropped = False
 
     def send_observations(self, store: ObservationSource, limit: int) -> bool:
-        """Send at most CHUNK of the first `limit` observations that the worker lacks -> whether it still lacks some."""
+        """Send at most CHUNK of the first `limit` observations that the worker lacks; return whether it lacks more."""
         first, last = self._observations, min(limit, self._observations + CHUNK)
         if last > first:
             states = torch.from_numpy(store.states[first:last])
@@ -230,7 +230,7 @@ class WorkerPool:
         log("training with %d of %d trainers; others may join later", found + 1, self._expected + 1)
 
     def _begin(self, learner: Learner, end: int) -> int:
-        """Begin a round that ends before update number `end` -> number of trainers, the owner included.
+        """Begin a round that ends before update number `end`; return the number of trainers, with the owner.
 
         The owner makes the next update and each update whose number is larger by a multiple of that number of trainers.
         """
@@ -325,7 +325,7 @@ class WorkerPool:
         link.close()
 
     def _step(self, worker: Worker) -> bool:
-        """Exchange one message -> False if the worker is dropped or the pool closed."""
+        """Exchange one message. Return False if the worker is dropped or the pool closed."""
         with self._changed:
             self._changed.wait_for(lambda: worker.task or worker.dropped or self._closed, _IDLE_PERIOD)
             if worker.dropped or self._closed:

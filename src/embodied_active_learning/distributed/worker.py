@@ -115,7 +115,7 @@ class TrainerWorker:
             self._link.send(response).wait(self._timeout)
 
     def _train(self, header: Header) -> int:
-        """Make this worker's updates of a round -> their number. The weights are then in self._weights."""
+        """Make this worker's updates of a round and return their number. The weights are then in self._weights."""
         learner = self._learner
         self._link.receive(self._weights).wait(self._timeout)
         learner.load_weights(self._weights)

@@ -4,8 +4,8 @@ From image to gradient, one update of `learner.Learner.update`:
 
 1. `batches.BatchReader.read` reads two mini-batches from the observation store.
 2. `schedule.Schedule` gives beta and gamma.
-3. `objective.LossFunction.compute_gradients` runs the forward and backward pass and fills each parameter's .grad:
-   `objective.PlainLoss` states the equations and uses autograd (reference, GPU); `native.loss.NativeLoss` computes the
+3. `loss.LossFunction.compute_gradients` runs the forward and backward pass and fills each parameter's .grad:
+   `loss.PlainLoss` states the equations and uses autograd (reference, GPU); `native.loss.NativeLoss` computes the
    same on compiled kernels (CPU).
 4. `optimiser.Optimiser.step` applies Adam.
 5. `replicas.Replicas.refresh` copies the weights for the planner's queries.

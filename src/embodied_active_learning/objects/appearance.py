@@ -186,7 +186,7 @@ def relative_positions(states: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def place(points: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Points (K, 2) [m] of an object, in the base frame, for each of its poses (P, 3). -> (P, K, 2) float32."""
+    """Return points (K, 2) [m] of an object in the base frame, (P, K, 2) float32, for each of its poses (P, 3)."""
     cosine, sine = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
     x, y = points.T
     return np.stack([poses[:, :1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], -1).astype(

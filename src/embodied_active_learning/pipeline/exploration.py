@@ -93,9 +93,9 @@ class ExplorationRun:
         """Start a run, or resume one with other random draws (exact resume: `load_state_dict`).
 
         Args:
-            config: the configuration.
+            config: The configuration.
             trajectory: (N, 3) [m, m, rad] states observed so far.
-            effort: effort spent so far, see StepMetrics.
+            effort: Effort spent so far, see StepMetrics.
         """
         self._workspace = config.workspace.box()
         visited = np.empty((0, self._workspace.size)) if trajectory is None else np.asarray(trajectory)
@@ -206,7 +206,7 @@ class ExplorationRun:
         """Continue exactly like the run that returned this state after the same trajectory.
 
         Raises:
-            CorruptFileError: the state is of another trajectory or configuration; discard this run then.
+            CorruptFileError: The state is of another trajectory or configuration; discard this run then.
         """
         own = matching_arrays(state, self._own_state())
         saved_step = int(own["step"][0])

@@ -29,7 +29,7 @@ ROLLBACKS = 3  # at one update, before training fails
 
 
 class TrainingRun:
-    """Stores observations, makes the updates that are due, and answers queries from a replica of the model.
+    """Stores observations, makes the updates that are due, and responds to queries from a replica of the model.
 
     One thread calls train(); any other may call observe(), log_std(), encode(), save() and stop() meanwhile.
     """
@@ -195,7 +195,7 @@ class TrainingRun:
         return self._learner.replicas.encode(self._workspace.normalise(np.asarray(states)), np.stack(images))
 
     def save(self, timeout: float = 60.0) -> Path:
-        """Request a checkpoint from the training thread -> its path. Raises SessionError after the timeout [s]."""
+        """Request a checkpoint from the training thread; return its path. Raises SessionError after a timeout [s]."""
         with self._changed:
             self._save_requested, self._saved = True, None
             self._changed.notify_all()
@@ -295,14 +295,17 @@ class TrainingRun:
             self._learner.refresh_async(self._wake)
             self._refreshed = self.updates
         if self._passed(self._config.training.checkpoint_every, before) or stopped:
-            self._checkpoint()  # after the refresh, because it stores which model answers queries
+            self._checkpoint()  # after the refresh, because it stores which model responds to queries
 
     def _passed(self, period: int, before: int) -> bool:
         """Return whether a multiple of a period has been reached after update number `before`."""
         return self.updates // period > before // period
 
     def _evaluate(self, before: int) -> bool:
-        """Evaluate the model if that became due after update number `before` -> whether this ends the exploration."""
+        """Evaluate the model if that became due after update number `before`.
+
+        Return whether this ends the exploration.
+        """
         early_stop = self._early_stop
         to_check = early_stop is not None and early_stop.steps is None and self._passed(early_stop.period, before)
         every, planned = self._config.training.evaluate_every, self._config.updates_planned

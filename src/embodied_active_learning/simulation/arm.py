@@ -199,7 +199,7 @@ class SimulatedArm:
         raise ArmFailedError(f"the arm did not come to rest: it moves at {self.velocity.tolist()} (m/s, m/s, rad/s)")
 
     def _tick(self, velocity: List[float]) -> bool:
-        """Advance one physics step at the legal velocity closest to a planar one (3,) -> whether a limit changed it."""
+        """Advance a physics step at the legal velocity closest to a planar one (3,); return whether a limit applied."""
         period = self._body.period
         legal = self._limits.next_velocity(self._pose.tolist(), self._commanded, velocity, period)
         joints = self._body.joints()

@@ -147,7 +147,7 @@ class Scene:
         self._shown = in_view
 
     def _load(self, objects: Sequence[PlacedObject]) -> List[int]:
-        """Load all objects from files written for the renderer -> their body ids."""
+        """Load all objects from files written for the renderer; return their body ids."""
         written: Dict[Tuple[Path, bool], Path] = {}
         with tempfile.TemporaryDirectory(prefix="world-") as folder:
             bodies = []

@@ -23,7 +23,7 @@ _DAMPING = 1e-3  # singular values below this lose speed, so that joint velociti
 
 
 def planar_pose(position: Sequence[float], orientation: Rotation) -> np.ndarray:
-    """Position (3,) m and orientation (3, 3) of the optical frame -> (x, y, theta) in m, m, rad."""
+    """Return (x, y, theta) [m, m, rad] of a position (3,) [m] and orientation (3, 3) of the optical frame."""
     # Not math.atan2, whose last digit differs: results for one seed must not change.
     return np.array([position[0], position[1], np.arctan2(orientation[1][0], orientation[0][0])])
 

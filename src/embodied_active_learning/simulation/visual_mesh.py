@@ -29,7 +29,7 @@ def write_visual(mesh: Mesh, appearance: MeshAppearance, path: Path) -> None:
 
 
 def _palette(colours: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Face colours (F, 3) in [0, 1] -> a picture of swatches, and texture coordinates (F, 2) of each face's swatch."""
+    """Return a picture of swatches for face colours (F, 3) in [0, 1], and texture coordinates (F, 2) of the faces."""
     swatches, index = np.unique(np.rint(255.0 * colours).astype(np.uint8), axis=0, return_inverse=True)
     side = int(np.ceil(np.sqrt(len(swatches))))
     cells: np.ndarray = np.zeros((side * side, 3), np.uint8)

@@ -195,7 +195,7 @@ class Recording:
         return topics
 
     def _sort_bags(self) -> List[rospy.Time]:
-        """Sort the bags by first stamp, equal ones by name -> first stamps; bags without messages come last."""
+        """Sort the bags by first stamp, equal ones by name, those without messages last; return first stamps."""
         if len(self.bags) == 1:
             return [rospy.Time()]
         starts = {bag.path: self._first_stamp(bag) for bag in self.bags}

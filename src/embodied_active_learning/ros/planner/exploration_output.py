@@ -37,7 +37,7 @@ class ExplorationOutput:
     def report(self, state: PlanarState, run: ExplorationRun, metrics: StepMetrics, last: bool) -> None:
         """Publish the step that ended in a state; append its row unless it was written before a resume.
 
-        last: whether it is the last step of the run.
+        last: Whether it is the last step of the run.
         """
         if metrics.step > self.last_step:
             stamp, (pose, _) = state.header.stamp.to_sec(), state_arrays(state)

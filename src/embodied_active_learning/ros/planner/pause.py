@@ -37,7 +37,7 @@ class PlannerPause:
         """Pause the planner during the block; one that was paused before stays paused afterwards.
 
         Raises:
-            EmbodiedActiveLearningError: there is a planner, but it does not respond.
+            EmbodiedActiveLearningError: There is a planner, but it does not respond.
         """
         response = trigger_if_advertised(names.PLANNER_PAUSE)
         self._has_paused = self._has_paused or (response is not None and response.success)

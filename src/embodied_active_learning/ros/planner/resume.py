@@ -40,7 +40,7 @@ class PlannerResume:
         """Save a run and the state of the observation that is sent next.
 
         Raises:
-            SessionError: the disk fails.
+            SessionError: The disk fails.
         """
         stamp = state.header.stamp
         pose, velocity = state_arrays(state)
@@ -77,10 +77,10 @@ class PlannerResume:
         """Return the arm to a resume point: a simulated arm exactly, any other to the same pose, at rest.
 
         Returns:
-            the state reached, and the observation's state with the velocity from which the run continues.
+            The state reached, and the observation's state with the velocity from which the run continues.
 
         Raises:
-            CommandError, ShutdownRequestedError: see RetryingArm.
+            CommandError, ShutdownRequestedError: See RetryingArm.
         """
         if is_advertised(names.ARM_RESTORE):
             try:

@@ -49,7 +49,7 @@ class TrainerClient:
         """Store an observation; on return it is on the trainer's disk.
 
         Raises:
-            ServiceError: the trainer refused the observation.
+            ServiceError: The trainer refused the observation.
         """
         response = self._observe.call(ObserveRequest(observation))
         if not response.success:
@@ -61,7 +61,7 @@ class TrainerClient:
         Waits for the model that is awaited after this many observations.
 
         Raises:
-            ServiceError: the trainer refused the states.
+            ServiceError: The trainer refused the states.
         """
         request, made = EvaluateEntropyRequest(states=np.asarray(states).ravel().tolist()), 0
 
@@ -83,7 +83,7 @@ def save_model() -> None:
     """Let a running trainer, if there is one, store its current model.
 
     Raises:
-        ServiceError: the trainer does not respond.
+        ServiceError: The trainer does not respond.
         SessionError: It cannot store the model.
     """
     response = trigger_if_advertised(names.TRAINER_SAVE)

@@ -34,9 +34,9 @@ class TrainerServices:
         """Offer the services.
 
         Args:
-            run: the training run.
-            config: the configuration.
-            on_observation: called after each stored observation.
+            run: The training run.
+            config: The configuration.
+            on_observation: Called after each stored observation.
         """
         self._run = run
         self._camera = config.camera
