@@ -39,3 +39,8 @@ def test_at_most_the_error_rate_of_true_places_is_below_the_miss_limit(values, e
 def test_invalid_calibration_is_refused(values):
     with pytest.raises(ObservationError, match="ascending float64"):
         Calibration(NINETEEN, values)
+
+
+def test_smallest_error_rate_still_has_a_miss_limit():
+    calibration = Calibration(NINETEEN, NINETEEN)
+    assert calibration.limits(calibration.smallest_error_rate).miss == NINETEEN[0]

@@ -47,6 +47,12 @@ def test_each_part_is_needed(missing):
     assert not checks(*[replace(GOOD, **missing)] * 2 * EMPTY_CHECKS)[-1].stopped
 
 
+def test_thing_seen_between_empty_checks_delays_the_end():
+    empty = replace(GOOD, centres=np.empty((0, 2)))
+    results = checks(*[empty] * (EMPTY_CHECKS - 1), replace(empty, undiscovered=1), *[empty] * EMPTY_CHECKS)
+    assert [check.stopped for check in results[-2:]] == [False, True]
+
+
 def test_new_object_starts_the_count_anew():
     results = checks(*[replace(GOOD, centres=TWO[:1])] * STABLE_CHECKS, *[GOOD] * (STABLE_CHECKS - 1))
     assert results[STABLE_CHECKS].stable_checks == 1

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import pixels_of
+from embodied_active_learning.geometry import pixels_of, wrap
 from embodied_active_learning.objects.colours import (
     OBJECT_REACH,
     TableColours,
@@ -39,6 +39,8 @@ _MIN_PIXELS = 60
 """Smallest object in a view: 1.35 cm2."""
 _SIMILAR_AREA = 0.25
 """Smallest share of the median area at which a view is used: others were cut by the image's border."""
+_MIN_VIEWS = 8
+"""Usable views: the calibration holds out five, which are compared with the others."""
 _CLUTTER = 0.1
 """Largest area around the object, relative to its own, with colours of neither the object nor the table elsewhere."""
 _OFF_CENTRE = SIDE / 6
@@ -96,7 +98,7 @@ class Appearance:
 
     def middle_at(self, pose: np.ndarray) -> np.ndarray:
         """Return the pose (3,) of the object's visible middle if its fingerprint's centre is at a pose (3,)."""
-        return np.array([*place(self.middle[None], pose[None])[0, 0], pose[2]])
+        return np.array([*place(self.middle[None], pose[None])[0, 0], wrap(pose[2])])
 
     def centre_at(self, middle: np.ndarray) -> np.ndarray:
         """Return the pose (3,) of the fingerprint's centre if the object's visible middle is at a pose (3,)."""
@@ -169,6 +171,8 @@ class Appearance:
             return (
                 "no object distinct from the table in its views: train longer, or learn it on a table of another colour"
             )
+        if self.usable.sum() < _MIN_VIEWS:
+            return f"only {self.usable.sum()} views show all of it: raise fingerprint/views and call /fingerprint again"
         sizes = self.masks.sum(axis=(1, 2))
         if float(np.median(clutter[self.usable] / sizes[self.usable])) > _CLUTTER:
             return (

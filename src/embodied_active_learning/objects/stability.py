@@ -99,6 +99,7 @@ class StoppingCriterion:
 
     def __init__(self) -> None:
         self._centres: Deque[np.ndarray] = deque(maxlen=max(STABLE_CHECKS, EMPTY_CHECKS))
+        self._undiscovered: Deque[int] = deque(maxlen=EMPTY_CHECKS)
 
     def add(self, measured: Measurement) -> StopCheck:
         """Take in a measurement and return the check."""
@@ -106,10 +107,13 @@ class StoppingCriterion:
         drifts = matched_distances(centres, self._centres[-1]) if self._centres else np.full(objects, np.nan)
         drift = largest_distance(centres, self._centres[-1]) if self._centres else np.nan
         self._centres.append(centres)
+        self._undiscovered.append(measured.undiscovered)
         agreeing = self._agreeing()
-        enough = STABLE_CHECKS if objects else EMPTY_CHECKS
-        useful = measured.latent_contribution >= USEFUL
-        stable = agreeing >= enough and (useful or not objects) and not measured.undiscovered
+        if objects:
+            useful = measured.latent_contribution >= USEFUL
+            stable = agreeing >= STABLE_CHECKS and useful and not measured.undiscovered
+        else:
+            stable = agreeing >= EMPTY_CHECKS and not any(self._undiscovered)
         return StopCheck(
             **{**vars(measured), "centres": centres},
             drifts=drifts,
@@ -120,16 +124,22 @@ class StoppingCriterion:
 
     def state_dict(self) -> Dict[str, Any]:
         """Return what is known from the last checks as plain data."""
-        return {"centres": [centres.tolist() for centres in self._centres]}
+        return {
+            "centres": [centres.tolist() for centres in self._centres],
+            "undiscovered": list(self._undiscovered),
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore state_dict(). Raises CorruptFileError."""
         try:
             restored = [_points(centres) for centres in state["centres"]]
+            undiscovered = [int(number) for number in state.get("undiscovered", ())]  # earlier versions have none
         except (KeyError, TypeError, ValueError) as error:
             raise CorruptFileError(f"invalid state of the stopping criterion: {error!r}") from error
         self._centres.clear()
         self._centres.extend(restored)
+        self._undiscovered.clear()
+        self._undiscovered.extend(undiscovered)
 
     def _agreeing(self) -> int:
         """Number of last checks, one after the other, whose objects are those of the newest."""
