@@ -42,6 +42,7 @@ def main() -> None:
     parser.add_argument("--output", required=True, type=Path, help="CSV file")
     parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=CONDITIONS)
     parser.add_argument("--scenes", type=int, default=3, help="scenes of each condition")
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--images", type=int, default=300, help="images of each scene")
     parser.add_argument("--baselines", nargs="*", default=[], choices=list(BASELINES))
     parser.add_argument("--reserved", action="store_true", help="use the reserved objects and tables")
@@ -49,7 +50,7 @@ def main() -> None:
     torch.set_num_threads(1)
     done = {(row["condition"], int(row["scene"])) for row in read(options.output)}
     evaluation = Evaluation(options.sessions, options.baselines, options.reserved)
-    for number in range(options.scenes):
+    for number in range(options.first, options.first + options.scenes):
         for condition in options.conditions:
             if (condition, number) not in done:
                 append(options.output, list(evaluation.run(evaluation.scenes.draw(condition, number), options.images)))

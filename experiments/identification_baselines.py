@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import table_points
-from embodied_active_learning.objects.appearance import Appearance, grid_cells, place, relative_positions, sample_image
+from embodied_active_learning.geometry import table_points, to_base_frame, to_object_frame
+from embodied_active_learning.objects.appearance import Appearance, grid_cells, sample_image
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
 from embodied_active_learning.objects.pose_search import propose
 from embodied_active_learning.objects.scene_views import Mosaic
@@ -97,7 +97,7 @@ class LocalFeatures:
         points, descriptors = [], []
         for view in views:
             found, described = self._on_table(fingerprint.images[view], fingerprint.states[view])
-            found = relative_positions(found, fingerprint.centre)
+            found = to_object_frame(found, fingerprint.centre)
             rows, columns, inside = grid_cells(found)
             of_object = (
                 inside
@@ -167,7 +167,9 @@ class MaskedTemplate:
         yaws = np.arange(_TEMPLATE_YAWS) * (2.0 * np.pi / _TEMPLATE_YAWS)
         x, y, yaw = (part.ravel() for part in np.meshgrid(middle[0] + shifts, middle[1] + shifts, yaws))
         poses = np.stack([x, y, yaw], axis=-1)
-        colours, valid = sample_image(stream.images[view], stream.states[view], place(points[::4], poses), self._camera)
+        colours, valid = sample_image(
+            stream.images[view], stream.states[view], to_base_frame(points[::4], poses), self._camera
+        )
         shown, wanted = colours.astype(np.float32), template[None, ::4]
         gain = np.clip((shown * wanted).sum(axis=(1, 2)) / np.square(wanted).sum(), *_TEMPLATE_GAIN)
         error = np.sqrt(np.square(shown - gain[:, None, None] * wanted).mean(axis=(1, 2)))

@@ -142,3 +142,19 @@ def quaternion(rotation: np.ndarray) -> Tuple[float, float, float, float]:
         values[largest] = 1.0 + squares[largest]
     x, y, z, w = (values / np.linalg.norm(values)).tolist()
     return x, y, z, w
+
+
+def to_object_frame(states: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return positions (N, 2) [m] of states (N, 3) or points (N, 2) in the coordinates of an object at a pose (3,)."""
+    dx, dy = (states[:, :2] - pose[:2]).T
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    return np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], axis=-1)
+
+
+def to_base_frame(points: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return points (K, 2) [m] of an object in the base frame, (P, K, 2) float32, for each of its poses (P, 3)."""
+    cosine, sine = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    x, y = points.T
+    return np.stack([poses[:, :1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], -1).astype(
+        np.float32
+    )

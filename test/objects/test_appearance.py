@@ -9,9 +9,9 @@ import pytest
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.figures.evidence import Evidence, draw_evidence
-from embodied_active_learning.geometry import pose_distance
+from embodied_active_learning.geometry import pose_distance, to_base_frame, to_object_frame
 from embodied_active_learning.objects import colours
-from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
+from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.colours import balance_slopes, balanced, colour_distance, colour_features
@@ -19,7 +19,7 @@ from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.pose_search import best_pose, propose, refine
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
-from embodied_active_learning.objects.similarity import similarity, stored_views
+from embodied_active_learning.objects.similarity import nearest_stored_views, similarity
 from painted_table import Thing, learn, paint, random_states
 
 SETTINGS = IdentificationConfig(trials=19)
@@ -66,9 +66,9 @@ def test_middle_and_centre_are_inverse(appearance):
 
 def test_object_points_are_placed_by_pose():
     points = np.array([[0.02, 0.0], [0.0, 0.01]], np.float32)
-    placed = place(points, np.array([[0.5, 0.1, np.pi / 2]]))
+    placed = to_base_frame(points, np.array([[0.5, 0.1, np.pi / 2]]))
     np.testing.assert_allclose(placed, [[[0.5, 0.12], [0.49, 0.1]]], atol=1e-6)
-    np.testing.assert_allclose(relative_positions(placed[0], np.array([0.5, 0.1, np.pi / 2])), points, atol=1e-6)
+    np.testing.assert_allclose(to_object_frame(placed[0], np.array([0.5, 0.1, np.pi / 2])), points, atol=1e-6)
 
 
 def test_white_balance_changes_features_as_it_changes_images():
@@ -113,7 +113,7 @@ def test_similarity_is_high_at_object_and_low_elsewhere(appearance, views):
     for pose in poses:
         chosen = views.nearest(pose[:2], 5, 0.06)
         values.append(
-            similarity(appearance, views, chosen, stored_views(appearance, views, chosen, pose), pose[None])[0]
+            similarity(appearance, views, chosen, nearest_stored_views(appearance, views, chosen, pose), pose[None])[0]
         )
     assert values[0] > 0.5
     assert max(values[1:]) < 0.2

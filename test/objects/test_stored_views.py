@@ -8,7 +8,7 @@ import pytest
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import pose_distance
-from embodied_active_learning.objects.stored_views import StoredViews
+from embodied_active_learning.objects.stored_views import ObservedViews
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 
 CENTRE = np.array([0.47, 0.01, 0.3])
@@ -22,7 +22,7 @@ def stored(count, seed=0):
 
 
 def select(states, images, seed=0, config=CONFIG, centre=CENTRE):
-    return StoredViews(config, centre, seed, states, images)
+    return ObservedViews(config, centre, seed, states, images)
 
 
 def test_stored_views_follow_view_density():

@@ -102,7 +102,7 @@ def test_set_round_trip_with_session_config(session):
 
 def test_calibration_of_other_rules_or_missing_is_none(session, monkeypatch):
     path = save_fingerprints(session, make_set()) / "object-1" / "calibration.safetensors"
-    monkeypatch.setattr(fingerprints, "RULES", 0)
+    monkeypatch.setattr(fingerprints, "CALIBRATION_VERSION", 0)
     assert load_fingerprints(session).fingerprints[0].calibration is None
     path.unlink()
     assert load_fingerprints(session).fingerprints[0].calibration is None
@@ -110,7 +110,9 @@ def test_calibration_of_other_rules_or_missing_is_none(session, monkeypatch):
 
 def test_invalid_calibration_is_rejected(session):
     path = save_fingerprints(session, make_set()) / "object-1" / "calibration.safetensors"
-    write_tensors(path, "calibration", {"true": torch.ones(2, dtype=torch.float64)}, {"rules": fingerprints.RULES})
+    write_tensors(
+        path, "calibration", {"true": torch.ones(2, dtype=torch.float64)}, {"rules": fingerprints.CALIBRATION_VERSION}
+    )
     with pytest.raises(CorruptFileError, match="expected the tensors true and false"):
         load_fingerprints(session)
 

@@ -31,7 +31,7 @@ from embodied_active_learning.figures.workspace_axes import (
 )
 from embodied_active_learning.objects.beliefs import shared_scale
 from embodied_active_learning.objects.decision import Decision
-from embodied_active_learning.objects.report import UNKNOWN, Truth
+from embodied_active_learning.objects.report import NO_TRUTH, Truth
 from embodied_active_learning.workspace import Workspace
 
 # Layout in inches. Explicit, because Matplotlib's layout engine takes half a minute for 60 maps.
@@ -77,7 +77,7 @@ def draw_beliefs(
     workspace: Workspace,
     panels: Sequence[BeliefPanel],
     view: Optional[TopView] = None,
-    truth: Truth = UNKNOWN,
+    truth: Truth = NO_TRUTH,
     pdf: bool = False,
 ) -> Path:
     """Draw the table from above and the belief map of every fingerprint, with one colour scale."""
@@ -88,7 +88,7 @@ def beliefs_figure(
     workspace: Workspace,
     panels: Sequence[BeliefPanel],
     view: Optional[TopView] = None,
-    truth: Truth = UNKNOWN,
+    truth: Truth = NO_TRUTH,
 ) -> Figure:
     """Return the figure of draw_beliefs."""
     before = int(view is not None)

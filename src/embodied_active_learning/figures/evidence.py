@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from embodied_active_learning.figures.style import MEDIUM, SMALL, default_style, new_figure, save
-from embodied_active_learning.objects.appearance import PIXEL, SIDE, Appearance, pixel_positions, place
+from embodied_active_learning.geometry import to_base_frame
+from embodied_active_learning.objects.appearance import PIXEL, SIDE, Appearance, pixel_positions
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.scene_views import SceneViews
-from embodied_active_learning.objects.similarity import matches, stored_views
+from embodied_active_learning.objects.similarity import matches, nearest_stored_views
 
 _ROW_HEIGHT, _WIDTH = 2.4, 9.0  # inches
 _DIMMED = 4
@@ -57,8 +58,8 @@ def _draw_row(row: Evidence, axes: Sequence[Axes], views: SceneViews) -> None:
         return
     pose = appearance.centre_at(decision.pose)
     view = views.nearest(pose[:2], 1, np.inf)
-    (stored,) = stored_views(appearance, views, view, pose)
-    found, _ = views.colours(int(view[0]), place(pixel_positions().reshape(-1, 2), pose[None])[0])
+    (stored,) = nearest_stored_views(appearance, views, view, pose)
+    found, _ = views.colours(int(view[0]), to_base_frame(pixel_positions().reshape(-1, 2), pose[None])[0])
     of_object, of_ring = matches(appearance, views, int(view[0]), int(stored), pose)
     for axis in axes[2:]:
         _show(axis, found.reshape(SIDE, SIDE, 3))

@@ -12,7 +12,7 @@ from embodied_active_learning.figures.top_view import compose_top_view
 from embodied_active_learning.figures.unknown_objects import draw_unknown
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import OBJECT
-from embodied_active_learning.objects.report import UNKNOWN, Truth
+from embodied_active_learning.objects.report import NO_TRUTH, Truth
 from embodied_active_learning.objects.scene_views import SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.pipeline.identification import IdentificationRun
@@ -22,7 +22,7 @@ MAX_TRACES = 12
 
 
 def draw_identification(
-    run: IdentificationRun, decisions: Sequence[Decision], truth: Truth = UNKNOWN, pdf: bool = False
+    run: IdentificationRun, decisions: Sequence[Decision], truth: Truth = NO_TRUTH, pdf: bool = False
 ) -> List[Path]:
     """Draw the belief maps into figures/ of the session with the images, and evidence and traces into the results.
 

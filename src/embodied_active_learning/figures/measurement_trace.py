@@ -41,7 +41,7 @@ from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.report import UNKNOWN, Truth
+from embodied_active_learning.objects.report import NO_TRUTH, Truth
 
 NEAR_DECISION = 0.03
 """Distance [m] within which an image counts as taken near a decision."""
@@ -87,7 +87,7 @@ class Trace:
     fingerprint: Fingerprint
     threshold: float
     decisions: Sequence[Decision]
-    truth: Truth = UNKNOWN
+    truth: Truth = NO_TRUTH
 
 
 @default_style

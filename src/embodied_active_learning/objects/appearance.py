@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import pixels_of, wrap
+from embodied_active_learning.geometry import pixels_of, to_base_frame, to_object_frame, wrap
 from embodied_active_learning.objects.colours import (
     OBJECT_REACH,
     TableColours,
@@ -74,7 +74,7 @@ class Appearance:
         """Learn the appearance from the views of a fingerprint; the others of its set show more of the table."""
         self.fingerprint = fingerprint
         self.camera = camera
-        self.offsets = relative_positions(fingerprint.states, fingerprint.centre)
+        self.offsets = to_object_frame(fingerprint.states, fingerprint.centre)
         self.colours, self.in_view = self._rectified()
         features = [colour_features(colours) for colours in self.colours]
         self.masks, clutter = self._segment(features, fingerprints)
@@ -98,12 +98,12 @@ class Appearance:
 
     def middle_at(self, pose: np.ndarray) -> np.ndarray:
         """Return the pose (3,) of the object's visible middle if its fingerprint's centre is at a pose (3,)."""
-        return np.array([*place(self.middle[None], pose[None])[0, 0], wrap(pose[2])])
+        return np.array([*to_base_frame(self.middle[None], pose[None])[0, 0], wrap(pose[2])])
 
     def centre_at(self, middle: np.ndarray) -> np.ndarray:
         """Return the pose (3,) of the fingerprint's centre if the object's visible middle is at a pose (3,)."""
         turn = np.array([[0.0, 0.0, middle[2]]])
-        return np.array([*(middle[:2] - place(self.middle[None], turn)[0, 0]), middle[2]])
+        return np.array([*(middle[:2] - to_base_frame(self.middle[None], turn)[0, 0]), middle[2]])
 
     @property
     def central_view(self) -> int:
@@ -112,7 +112,7 @@ class Appearance:
 
     def _rectified(self) -> Tuple[np.ndarray, np.ndarray]:
         """Colours (V, SIDE, SIDE, 3) uint8 of the views in the object's coordinates, and whether each is in view."""
-        points = place(_GRID, self.fingerprint.centre[None])[0]
+        points = to_base_frame(_GRID, self.fingerprint.centre[None])[0]
         views = [
             sample_image(blurred(image, self.camera), state, points, self.camera)
             for image, state in zip(self.fingerprint.images, self.fingerprint.states)
@@ -182,22 +182,6 @@ class Appearance:
         return ""
 
 
-def relative_positions(states: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Camera positions (N, 2) [m] of states (N, 3) in the coordinates of an object at a pose (3,)."""
-    dx, dy = (states[:, :2] - pose[:2]).T
-    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    return np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], axis=-1)
-
-
-def place(points: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return points (K, 2) [m] of an object in the base frame, (P, K, 2) float32, for each of its poses (P, 3)."""
-    cosine, sine = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    x, y = points.T
-    return np.stack([poses[:, :1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], -1).astype(
-        np.float32
-    )
-
-
 def sample_image(
     image: np.ndarray, state: np.ndarray, points: np.ndarray, camera: CameraConfig
 ) -> Tuple[np.ndarray, np.ndarray]:
@@ -246,7 +230,7 @@ def _table(
 
 def _away_from_others(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]) -> np.ndarray:
     """Which rectified pixels (SIDE, SIDE) are not near the centre of another object of the set."""
-    points = place(_GRID, fingerprint.centre[None])[0]
+    points = to_base_frame(_GRID, fingerprint.centre[None])[0]
     away: np.ndarray = np.ones(len(points), dtype=bool)
     for other in fingerprints:
         if other.kind == OBJECT and other is not fingerprint:

@@ -16,7 +16,7 @@ import numpy as np
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.limits import Calibration
 from embodied_active_learning.objects.pose_search import MIN_VIEWS, best_pose
-from embodied_active_learning.objects.similarity import similarity, stored_views
+from embodied_active_learning.objects.similarity import nearest_stored_views, similarity
 from embodied_active_learning.objects.simulated_views import LOOK_ALIKES, SimulatedViews, draw_views
 
 _EVALUATIONS = 3
@@ -55,6 +55,6 @@ def _look_alike_similarity(appearance: Appearance, random: np.random.Generator, 
 def _evaluated(appearance: Appearance, views: SimulatedViews, chosen: List[int], starts: np.ndarray) -> List[float]:
     """Similarity in each evaluation, at the best pose near the starts (Y, 3)."""
     pose = best_pose(appearance, views, chosen[:1], starts, excluded=chosen, stride=8)
-    stored = stored_views(appearance, views, chosen, pose, chosen)
+    stored = nearest_stored_views(appearance, views, chosen, pose, chosen)
     parts = [slice(begin, begin + MIN_VIEWS) for begin in range(max(len(chosen) - MIN_VIEWS + 1, 1))]
     return [float(similarity(appearance, views, chosen[part], stored[part], pose[None])[0]) for part in parts]

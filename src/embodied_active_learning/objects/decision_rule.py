@@ -13,8 +13,7 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import IdentificationConfig
-from embodied_active_learning.geometry import pose_distance
-from embodied_active_learning.objects.appearance import place
+from embodied_active_learning.geometry import pose_distance, to_base_frame
 from embodied_active_learning.objects.beliefs import Peak
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
@@ -219,7 +218,7 @@ def _is_flat(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:
     """Whether the table is flat where the object would be at a pose (3,)."""
     appearance = target.appearance
     relief = views.relief_at(appearance.middle_at(pose)[:2])
-    points = place(appearance.inside_points[appearance.central_view], pose[np.newaxis])[0]
+    points = to_base_frame(appearance.inside_points[appearance.central_view], pose[np.newaxis])[0]
     return relief is not None and relief.is_flat_at(points)
 
 

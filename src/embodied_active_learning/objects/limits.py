@@ -22,11 +22,11 @@ import numpy as np
 
 from embodied_active_learning.errors import ObservationError
 
-RULES = 5
+CALIBRATION_VERSION = 5
 """Version of similarity and calibration: stored limits of another version do not apply."""
 
 
-_LOOK_ALIKES = 0.25
+_LOOK_ALIKE_SHARE = 0.25
 """Share of other objects that are look-alikes. With it, 5 of 480 pairs of a fingerprint and a scene had a claim where
 its object does not stand, on development data at an error rate of 5 %."""
 _MAX_RATE = 0.5
@@ -76,7 +76,7 @@ class Calibration:
         """Return the limits at an accepted rate of errors."""
         rank = math.floor(error_rate * (len(self.true) + 1))
         miss = float(self.true[rank - 1]) if rank else -1.0
-        rate = min(_MAX_RATE, error_rate / _LOOK_ALIKES)
+        rate = min(_MAX_RATE, error_rate / _LOOK_ALIKE_SHARE)
         rank = math.ceil((1.0 - rate) * (len(self.false) + 1))
         return Limits(miss, float(self.false[rank - 1]) if rank <= len(self.false) else 1.0)
 

@@ -15,7 +15,8 @@ import scipy.fft
 from scipy.ndimage import maximum_filter
 
 from embodied_active_learning.config import IdentificationConfig
-from embodied_active_learning.objects.appearance import Appearance, place
+from embodied_active_learning.geometry import to_base_frame
+from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.colours import colour_distance
 from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, SceneViews
 from embodied_active_learning.objects.similarity import (
@@ -23,8 +24,8 @@ from embodied_active_learning.objects.similarity import (
     LUMINANCE_SCALE,
     Indices,
     Views,
+    nearest_stored_views,
     similarity,
-    stored_views,
 )
 
 _YAWS = np.arange(36) * (2.0 * np.pi / 36)
@@ -126,7 +127,7 @@ def refine(
     if not len(chosen):
         return Candidate(starts[0], -1.0, near)
     pose = best_pose(appearance, views, chosen, starts, least=_PROMISING * miss)
-    value = similarity(appearance, views, chosen, stored_views(appearance, views, chosen, pose), pose[None])
+    value = similarity(appearance, views, chosen, nearest_stored_views(appearance, views, chosen, pose), pose[None])
     return Candidate(pose, float(value[0]), near)
 
 
@@ -153,7 +154,7 @@ def best_pose(
     poses, values = [], []
     for start in starts:
         near = _around(start, *_STEPS[0])
-        stored = stored_views(appearance, views, chosen[:_SEARCH_VIEWS], start, excluded)
+        stored = nearest_stored_views(appearance, views, chosen[:_SEARCH_VIEWS], start, excluded)
         found = similarity(appearance, views, chosen[:_SEARCH_VIEWS], stored, near, stride)
         poses.append(near[found.argmax()])
         values.append(float(found.max()))
@@ -168,7 +169,7 @@ def _climb(
     """Return a more similar pose (3,) close to a pose (3,), and its similarity in half of the points."""
     value = -1.0
     for step in _STEPS[1:]:
-        stored = stored_views(appearance, views, chosen, pose, excluded)
+        stored = nearest_stored_views(appearance, views, chosen, pose, excluded)
         near = _around(pose, *step)
         found = similarity(appearance, views, chosen, stored, near, stride=2)
         pose, value = near[found.argmax()], float(found.max())
@@ -201,7 +202,9 @@ def _kernels(appearance: Appearance, view: int, labels: np.ndarray, yaw: float, 
         (appearance.inside_points[view], labels, 1.0),
         (ring_points, np.full(len(ring_points), _COLOURS), -1.0),
     ):
-        columns, rows = np.rint(place(points, np.array([[0.0, 0.0, yaw]]))[0].T / MOSAIC_PIXEL).astype(int) % size
+        columns, rows = (
+            np.rint(to_base_frame(points, np.array([[0.0, 0.0, yaw]]))[0].T / MOSAIC_PIXEL).astype(int) % size
+        )
         np.add.at(kernels, (layer, rows, columns), weight / len(points))
     return kernels
 

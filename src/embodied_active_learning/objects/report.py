@@ -44,7 +44,7 @@ class Truth:
         return nearest(decision.pose, [item for item in self.objects if item[0] == kind])[1] > SAME_PLACE
 
 
-UNKNOWN = Truth()
+NO_TRUTH = Truth()
 
 
 class Score(NamedTuple):
@@ -94,7 +94,7 @@ def score(decisions: Sequence[Decision], truth: Truth) -> Score:
     return Score(hits, instances, errors, false_claims)
 
 
-def decision_table(decisions: Sequence[Decision], truth: Truth = UNKNOWN) -> str:
+def decision_table(decisions: Sequence[Decision], truth: Truth = NO_TRUTH) -> str:
     """Format decisions as a table with one line each; false claims are marked where the truth is known."""
     rows = [_COLUMNS, *(_row(decision, truth) for decision in decisions)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]

@@ -12,7 +12,8 @@ from typing import NamedTuple, Protocol, Sequence, Tuple, Union
 
 import numpy as np
 
-from embodied_active_learning.objects.appearance import Appearance, place, relative_positions
+from embodied_active_learning.geometry import to_base_frame, to_object_frame
+from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.colours import balance_slopes, colour_distance
 
 Indices = Union[Sequence[int], np.ndarray]
@@ -88,11 +89,11 @@ def similarity(
     return np.where(first == count, -1.0, median)
 
 
-def stored_views(
+def nearest_stored_views(
     appearance: Appearance, views: Views, chosen: Indices, pose: np.ndarray, excluded: Indices = ()
 ) -> np.ndarray:
     """Return the stored view (V,) to compare each chosen image with, for an object at a pose (3,)."""
-    return appearance.nearest_views(relative_positions(views.states[np.asarray(chosen)], pose), excluded)
+    return appearance.nearest_views(to_object_frame(views.states[np.asarray(chosen)], pose), excluded)
 
 
 def matches(
@@ -101,8 +102,8 @@ def matches(
     """Return the match, 0 to 1, of the points inside the object (I,) and of the ring (R,) at one pose (3,)."""
     poses = np.asarray(pose)[None]
     inside, ring = _points(appearance, stored)
-    seen, valid = views.features(view, place(inside.positions, poses))
-    seen_ring, _ = views.features(view, place(ring.positions, poses))
+    seen, valid = views.features(view, to_base_frame(inside.positions, poses))
+    seen_ring, _ = views.features(view, to_base_frame(ring.positions, poses))
     scale = _scale(appearance)
     light = _fit_light(seen, valid, inside, scale)
     return _match(seen, inside, light, scale)[0], _match(seen_ring, ring, light, scale)[0]
@@ -119,8 +120,8 @@ def _in_view(
 ) -> np.ndarray:
     """Similarity (P,) in one view; -1 where it does not show enough of the object."""
     inside, ring = _points(appearance, stored, stride)
-    seen, inside_valid = views.features(view, place(inside.positions, poses))
-    seen_ring, ring_valid = views.features(view, place(ring.positions, poses))
+    seen, inside_valid = views.features(view, to_base_frame(inside.positions, poses))
+    seen_ring, ring_valid = views.features(view, to_base_frame(ring.positions, poses))
     scale = _scale(appearance)
     light = _fit_light(seen, inside_valid, inside, scale)
     of_inside = _mean(_match(seen, inside, light, scale), inside_valid)

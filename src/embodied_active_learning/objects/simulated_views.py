@@ -14,14 +14,8 @@ from typing import Dict, List, Tuple
 import cv2
 import numpy as np
 
-from embodied_active_learning.objects.appearance import (
-    PIXEL,
-    SIDE,
-    Appearance,
-    grid_cells,
-    pixel_positions,
-    relative_positions,
-)
+from embodied_active_learning.geometry import to_object_frame
+from embodied_active_learning.objects.appearance import PIXEL, SIDE, Appearance, grid_cells, pixel_positions
 from embodied_active_learning.objects.colours import balanced, colour_distance, colour_features
 
 LOOK_ALIKES = ("stretched", "scaled", "bent", "mirrored", "recoloured", "plain")
@@ -65,7 +59,7 @@ class SimulatedViews:
         if view not in self._scenes:
             self._scenes[view] = self._scene(view)
         features, valid = self._scenes[view]
-        seen = relative_positions(points.reshape(-1, 2), self._appearance.fingerprint.centre)
+        seen = to_object_frame(points.reshape(-1, 2), self._appearance.fingerprint.centre)
         rows, columns, _ = grid_cells(seen.reshape(points.shape))  # beyond the border: its last pixel
         return features[rows, columns], valid[rows, columns]
 

@@ -11,7 +11,7 @@ from embodied_active_learning.objects.collection import is_new_view, log_view_de
 from embodied_active_learning.rng import Stream, generator
 
 
-class StoredViews:
+class ObservedViews:
     """Observations drawn around a centre with the density of collection.ViewCollection."""
 
     def __init__(

@@ -15,7 +15,7 @@ from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.clustering import find_objects
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
-from embodied_active_learning.objects.stored_views import StoredViews
+from embodied_active_learning.objects.stored_views import ObservedViews
 from embodied_active_learning.session.fingerprints import save_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
@@ -59,8 +59,8 @@ class FingerprintRun:
         seed = self._config.exploration.seed
         self.clustering = find_objects(trained.model, stored.raw_states, stored.images, self._config, seed)
         self._from_stored = from_stored
-        self.collections: Sequence[Union[ViewCollection, StoredViews]] = [
-            StoredViews(self._config, cluster.centre, seed, stored.raw_states, stored.images)
+        self.collections: Sequence[Union[ViewCollection, ObservedViews]] = [
+            ObservedViews(self._config, cluster.centre, seed, stored.raw_states, stored.images)
             if from_stored
             else ViewCollection(self._config, cluster.centre, seed)
             for cluster in self.clustering.clusters

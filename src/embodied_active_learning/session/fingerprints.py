@@ -23,7 +23,7 @@ from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import FileReader, open_regular_file, short_repr
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, FingerprintSet
-from embodied_active_learning.objects.limits import RULES, Calibration
+from embodied_active_learning.objects.limits import CALIBRATION_VERSION, Calibration
 from embodied_active_learning.schema import build, required, to_plain
 from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import is_leftover, sync_folder, write_bytes, write_text
@@ -185,7 +185,7 @@ def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
     _refuse_large(folder / FINGERPRINT_FILE, _FINGERPRINT_READER, "keep fewer views")
     if fingerprint.calibration is not None:
         similarities = {name: torch.from_numpy(getattr(fingerprint.calibration, name)) for name in _SIMILARITIES}
-        write_tensors(folder / CALIBRATION_FILE, _CALIBRATION_KIND, similarities, {"rules": RULES})
+        write_tensors(folder / CALIBRATION_FILE, _CALIBRATION_KIND, similarities, {"rules": CALIBRATION_VERSION})
     _, png = cv2.imencode(".png", np.ascontiguousarray(fingerprint.thumbnail[..., ::-1]))
     write_bytes(folder / THUMBNAIL_FILE, png.tobytes())
 
@@ -241,7 +241,7 @@ def _read_calibration(session_path: Path, path: Path) -> Optional[Calibration]:
     _check_inside(session_path, path)
     with _damage_in(path):
         tensors, facts = read_tensors(path, _CALIBRATION_KIND, _READER)
-        if build(_CalibrationFacts, facts, path, CorruptFileError, _READER.remedy).rules != RULES:
+        if build(_CalibrationFacts, facts, path, CorruptFileError, _READER.remedy).rules != CALIBRATION_VERSION:
             return None
         if sorted(tensors) != sorted(_SIMILARITIES):
             raise _READER.make_error(f"{path}:", f"expected the tensors {' and '.join(_SIMILARITIES)}")

@@ -34,16 +34,16 @@ def main(arguments: Sequence[str]) -> int:
     try:
         jobs, folder = _jobs(options)
         if options.dry_run:
-            _say(_plan(jobs, folder, options.workers))
+            _print(_plan(jobs, folder, options.workers))
             return 0
-        errors = make_runs(jobs, options.workers, _say, options.executor, options.set, folder / "jobs")
+        errors = make_runs(jobs, options.workers, _print, options.executor, options.set, folder / "jobs")
     except EmbodiedActiveLearningError as error:
         print(error, file=sys.stderr)  # noqa: T201 - a command
         return 2
     except KeyboardInterrupt:
         print("interrupted: the same command continues the sweep", file=sys.stderr)  # noqa: T201
         return 130
-    _say(f"{len(jobs) - len(errors)} of {len(jobs)} runs made; records: {jobs[0].records}")
+    _print(f"{len(jobs) - len(errors)} of {len(jobs)} runs made; records: {jobs[0].records}")
     return 1 if errors else 0
 
 
@@ -123,7 +123,7 @@ def _plan(jobs: Sequence[Job], folder: Path, workers: int) -> str:
     return "\n".join(lines)
 
 
-def _say(line: str) -> None:
+def _print(line: str) -> None:
     print(line, flush=True)  # noqa: T201 - a command
 
 

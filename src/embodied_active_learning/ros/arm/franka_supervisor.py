@@ -64,13 +64,13 @@ class FrankaSupervisor:
         with self._lock:
             with self._driver.lock:
                 self._driver.readiness.release()
-            self._settle()
+            self._wait_while_transient()
             prepare = False
             if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
                 prepare = self._clear_errors()
             if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
                 self._prepare()  # a restarted franka_control has lost all settings
-            self._settle()
+            self._wait_while_transient()
             if self._condition() is not Condition.READY:
                 raise ArmNotReadyError(self._driver.why_not_ready())
 
@@ -96,7 +96,7 @@ class FrankaSupervisor:
         with self._driver.lock:
             return self._driver.readiness.has_error
 
-    def _settle(self) -> None:
+    def _wait_while_transient(self) -> None:
         """Wait for transient conditions to pass, for instance of a controller that was just started."""
         deadline = time.monotonic() + _READY_TIMEOUT
         self.update_controllers()
@@ -137,7 +137,7 @@ class FrankaSupervisor:
         self._recover()
         with self._driver.lock:
             self._driver.readiness.forget_reflexes()
-        self._settle()
+        self._wait_while_transient()
         with self._driver.lock:
             self._driver.readiness.forget_reflexes()
 
