@@ -43,9 +43,9 @@ def test_table_has_totals_beside_those_of_the_paper():
     ]
     assert table_lines(rows) == [
         ["environment", "duck", "star", "total", "paper"],
-        ["stars_ducks", "3/4", "1/1", "4/5 (80 %)", "55/70 (79 %)"],
-        ["bottom", "1/1", "0/0", "1/1 (100 %)", "-"],
-        ["total", "4/5", "1/1", "5/6 (83 %)", "-"],
+        ["bottom", "1/1", "0/0", "1/1 (100 %, 2-100)", "-"],
+        ["stars_ducks", "3/4", "1/1", "4/5 (80 %, 28-99)", "55/70 (79 %)"],
+        ["total", "4/5", "1/1", "5/6 (83 %, 36-100)", "-"],
     ]
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
 
+from scipy.stats import beta
+
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision, decisions_about
@@ -20,7 +22,10 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.truth import true_objects
 
 RANKED, DECIDED = "ranked", "decided"
-RULES: Dict[str, Dict[str, object]] = {RANKED: {"decision": "belief", "min_belief": 0.0}, DECIDED: {}}
+RULES: Dict[str, Dict[str, object]] = {
+    RANKED: {"decision": "belief", "min_belief": 0.0},
+    DECIDED: {"stop_when_decided": False},  # all objects of a kind count, not only the first one found
+}
 PAPER: Dict[str, Dict[str, Tuple[int, int]]] = {
     "star_plant_duck": {"duck": (18, 20), "plant": (14, 15), "star": (4, 5)},
     "plants_ducks": {"duck": (54, 60), "plant": (28, 30)},
@@ -93,12 +98,15 @@ def successes(
 def table_lines(rows: Sequence[Mapping[str, str]]) -> List[List[str]]:
     """Return the cells of Table 1: a line for each environment, columns for kinds, and totals, as "hits/tests".
 
-    Blanks count in a model's own environment only, as in the paper.
+    Blanks count in a model's own environment only, as in the paper. Totals have exact 95 % intervals of a binomial
+    distribution, as if tests with one model were independent.
     """
     rows = [row for row in rows if row["kind"] != BLANK or row["environment"] not in PAPER]
     kinds = sorted({row["kind"] for row in rows})
+    own = sorted({row["environment"] for row in rows} - set(PAPER))
+    new = [name for name in PAPER if any(row["environment"] == name for row in rows)]
     lines = []
-    for environment in [*dict.fromkeys(row["environment"] for row in rows), "total"]:
+    for environment in [*own, *new, "total"]:
         chosen = [row for row in rows if environment in (row["environment"], "total")]
         cells = [_fraction([row for row in chosen if row["kind"] == kind]) for kind in kinds]
         lines.append([environment, *cells, _fraction(chosen, percent=True), _paper(environment)])
@@ -107,7 +115,11 @@ def table_lines(rows: Sequence[Mapping[str, str]]) -> List[List[str]]:
 
 def _fraction(rows: Sequence[Mapping[str, str]], percent: bool = False) -> str:
     hits, tests = (sum(int(row[name]) for row in rows) for name in ("hits", "tests"))
-    return f"{hits}/{tests}" + (f" ({100.0 * hits / tests:.0f} %)" if percent and tests else "")
+    if not percent or not tests:
+        return f"{hits}/{tests}"
+    low = beta.ppf(0.025, hits, tests - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, tests - hits) if hits < tests else 1.0
+    return f"{hits}/{tests} ({100.0 * hits / tests:.0f} %, {100.0 * low:.0f}-{100.0 * high:.0f})"
 
 
 def _paper(environment: str) -> str:
