@@ -12,7 +12,6 @@ from sensor_msgs import point_cloud2
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.ros import conversions, names
 from embodied_active_learning.ros.camera.pose_buffer import interpolate
-from embodied_active_learning.ros.objects.found_objects import pose_at
 from embodied_active_learning.ros.rviz.markers import OBJECT_COLOUR, disc_marker
 from embodied_active_learning.workspace import Workspace
 
@@ -140,7 +139,7 @@ def test_frames_follow_arm_id(fr3):
 
 def test_heights_are_those_above_the_table(fr3):
     state = (0.5, 0.0, 0.0)
-    assert pose_at(*state).position.z == -0.05
+    assert conversions.pose_message(state).position.z == -0.05
     assert conversions.path_message(STAMP, np.array([state]), 0.3).poses[0].pose.position.z == 0.25
     assert conversions.workspace_marker(Workspace(), 0.3).pose.position.z == -0.05
     assert conversions.occupancy_grid_message(STAMP, np.ones((2, 2)), 0.4, 0.0, 0.1).info.origin.position.z == -0.05

@@ -121,15 +121,14 @@ def pose_matrix(position: Union[Point, Vector3], orientation: Quaternion) -> np.
 def path_message(stamp: rospy.Time, states: np.ndarray, height: float) -> Path:
     """Convert states (N, 3) [m, m, rad] to a path at a height above the table [m]."""
     header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
-    return Path(header, [PoseStamped(header, _pose(state, height)) for state in states])
+    return Path(header, [PoseStamped(header, pose_message(state, height)) for state in states])
 
 
-def _pose(state: Values, height: float) -> Pose:
-    """Pose in the base frame of a state at a height above the table [m]."""
+def pose_message(state: Values, height: float = 0.0) -> Pose:
+    """Return the pose in the base frame of (x [m], y [m], theta [rad]) at a height above the table [m]."""
     x, y, theta = map(float, state)
-    return Pose(
-        Point(x, y, names.TABLE_HEIGHT + height), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
-    )
+    turn = Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
+    return Pose(Point(x, y, names.TABLE_HEIGHT + height), turn)
 
 
 def cloud_message(stamp: rospy.Time, points: np.ndarray, values: np.ndarray) -> PointCloud2:
@@ -151,7 +150,7 @@ def occupancy_grid_message(stamp: rospy.Time, values: np.ndarray, x0: float, y0:
         cell: side of a cell [m].
     """
     width, height = values.shape
-    corner = _pose((x0 - cell / 2.0, y0 - cell / 2.0, 0.0), 0.0)
+    corner = pose_message((x0 - cell / 2.0, y0 - cell / 2.0, 0.0), 0.0)
     percent = np.rint(100.0 * np.clip(values, 0.0, 1.0)).astype(np.int8)
     header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
     return OccupancyGrid(header, MapMetaData(stamp, cell, width, height, corner), percent.T.ravel().tolist())

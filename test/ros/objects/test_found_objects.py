@@ -10,7 +10,8 @@ from std_msgs.msg import Header
 
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
-from embodied_active_learning.ros.objects.found_objects import found_objects, frame_message, pose_message
+from embodied_active_learning.ros.conversions import pose_message
+from embodied_active_learning.ros.objects.found_objects import found_objects, frame_message
 
 
 def make_decision(kind=OBJECT, instance=2):
@@ -25,7 +26,7 @@ def test_blanks_and_rejected_candidates_are_left_out():
 
 
 def test_pose_lies_on_table_with_yaw_as_quaternion():
-    pose = pose_message(make_decision())
+    pose = pose_message(make_decision().pose)
     assert (pose.position.x, pose.position.y, pose.position.z) == (0.5, -0.1, 0.0)
     quaternion = pose.orientation
     np.testing.assert_allclose(

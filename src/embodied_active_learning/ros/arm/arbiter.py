@@ -14,6 +14,7 @@ from embodied_active_learning.arm_requests import StopSignal
 from embodied_active_learning.errors import ArmBusyError, ArmStoppedError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.diagnostics import WARN, Health
+from embodied_active_learning.ros.runtime.services import name_of_caller
 
 
 class ArmArbiter:
@@ -187,11 +188,6 @@ class ArmArbiter:
 
     def _is_controlled(self) -> bool:
         return self._busy or (self._has_lease and self._clock() < self._expires)
-
-
-def name_of_caller(request: Any) -> str:
-    """Return the name of the node that sent a service request, as given by its connection."""
-    return request._connection_header.get("callerid", "an unnamed node")
 
 
 def _stopped_message(stopped_by: str) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import List, Sequence
 
 import rospy
-from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import PoseArray, Transform, TransformStamped, Vector3
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
@@ -14,6 +13,7 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.conversions import pose_message
 
 
 class FoundObjects:
@@ -34,8 +34,8 @@ class FoundObjects:
         """Publish all found objects, without blanks, and all unknown ones."""
         found = found_objects(decisions)
         header = Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME)
-        self._poses.publish(PoseArray(header, [pose_message(decision) for decision in found]))
-        self._unknown.publish(PoseArray(header, [pose_at(*map(float, item.place)) for item in unknown]))
+        self._poses.publish(PoseArray(header, [pose_message(decision.pose) for decision in found]))
+        self._unknown.publish(PoseArray(header, [pose_message([*item.place, 0.0]) for item in unknown]))
         self._frames.publish(TFMessage([frame_message(header, decision) for decision in found]))
 
 
@@ -44,19 +44,9 @@ def found_objects(decisions: Sequence[Decision]) -> List[Decision]:
     return [decision for decision in decisions if decision.found and decision.kind != BLANK]
 
 
-def pose_message(decision: Decision) -> Pose:
-    """Return the pose of a decision on the table."""
-    return pose_at(*map(float, decision.pose))
-
-
-def pose_at(x: float, y: float, theta: float = 0.0) -> Pose:
-    """Return a pose on the table, x [m], y [m], theta [rad]."""
-    return Pose(Point(x, y, names.TABLE_HEIGHT), Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0)))
-
-
 def frame_message(header: Header, decision: Decision) -> TransformStamped:
     """Return the tf frame `found/<session>/<fingerprint>/<instance>` of a decision."""
-    pose = pose_message(decision)
+    pose = pose_message(decision.pose)
     frame = f"found/{decision.session}/{decision.fingerprint}/{decision.instance}"
     position = Vector3(pose.position.x, pose.position.y, pose.position.z)
     return TransformStamped(header, frame, Transform(position, pose.orientation))

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseArray
 from std_msgs.msg import Header
 
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.objects.found_objects import pose_at
+from embodied_active_learning.ros.conversions import pose_message
 
 
 class OpenPlacesPublisher:
@@ -22,7 +22,7 @@ class OpenPlacesPublisher:
     def publish(self, places: np.ndarray) -> None:
         """Publish places (P, 2) [m] unless they are those published last."""
         if not np.array_equal(places, self._published):
-            poses = [pose_at(float(x), float(y)) for x, y in places]
+            poses = [pose_message([*place, 0.0]) for place in places]
             self._publisher.publish(PoseArray(Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME), poses))
             self._published = places
 

@@ -10,9 +10,9 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import CommandError
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.arm.arbiter import name_of_caller
 from embodied_active_learning.ros.arm.retrying_arm import RetryingArm
 from embodied_active_learning.ros.runtime import persistent_parameters
+from embodied_active_learning.ros.runtime.services import name_of_caller
 
 
 class PauseRequests:

@@ -140,3 +140,8 @@ def advertise_service(
             return service_class._response_class(success=False, message=f"{rospy.get_name()} is shutting down")
 
     return rospy.Service(name, service_class, respond)
+
+
+def name_of_caller(request: Any) -> str:
+    """Return the name of the node that sent a service request, as given by its connection."""
+    return str(request._connection_header.get("callerid", "an unnamed node"))

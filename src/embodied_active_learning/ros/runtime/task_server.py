@@ -21,7 +21,7 @@ from actionlib_msgs.msg import GoalID
 from embodied_active_learning.errors import EmbodiedActiveLearningError, TaskCancelledError
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
 from embodied_active_learning.ros.runtime.node import ShutdownRequestedError
-from embodied_active_learning.ros.runtime.services import advertise_service
+from embodied_active_learning.ros.runtime.services import advertise_service, name_of_caller
 from embodied_active_learning.ros.runtime.timers import WallTimer
 
 _POLL_PERIOD = 0.1
@@ -125,7 +125,7 @@ class TaskServer:
         connection: socket.socket = self._caller.socket
         with self._task.call():
             self._service_cancelled.clear()
-            caller = Caller(request._connection_header.get("callerid", ""), connection)
+            caller = Caller(name_of_caller(request), connection)
             progress = TaskProgress(self._task, lambda: self._service_cancelled.is_set() or caller.has_left())
             return self._service_class._response_class(success=True, **self._run(request, progress))
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from embodied_active_learning.ros.conversions import pose_message
 from embodied_active_learning.ros.rviz.markers import label_marker, marker
 from embodied_active_learning.simulation.scene import SceneObject
 from embodied_active_learning.simulation.simulation import Simulation
@@ -53,5 +52,5 @@ def _box_marker(stamp: rospy.Time, number: int, item: SceneObject) -> Marker:
     width, depth, height = item.extent
     position = Point(float(item.centre[0]), float(item.centre[1]), height / 2.0)
     box = marker(stamp, "objects", number, Marker.CUBE, position, Vector3(width, depth, height), _BOX_COLOUR)
-    box.pose.orientation = Quaternion(0.0, 0.0, math.sin(item.yaw / 2.0), math.cos(item.yaw / 2.0))
+    box.pose.orientation = pose_message((0.0, 0.0, item.yaw)).orientation
     return box
