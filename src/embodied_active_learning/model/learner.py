@@ -157,8 +157,9 @@ class Learner:
     def evaluate(self) -> Evaluation:
         """Evaluate the model on a fixed subset, and its log std over the workspace for the newest latent.
 
-        The subset, `evaluation_size` of the observations of the whole run, follows from the seed. Members that
-        the last update could not use yet are left out; if fewer than two remain, the newest two observations are used.
+        The subset, `evaluation_size` of the observations of the whole run, follows from the seed; after an early end it
+        is drawn from the observations made. Members that the last update could not use yet are left out; if fewer than
+        two remain, the newest two observations are used.
         Does not draw from the training's generator, so that evaluations do not change the run.
         """
         count = self._count(max(0, self.updates - 1))
