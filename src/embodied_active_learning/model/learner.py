@@ -294,7 +294,7 @@ class Learner:
             ) from error
         if previous:
             self.replicas.refresh(previous, previous_updates)
-        # A model between two refreshes has responded to no query and must not replace the one that is asked for.
+        # A model between two refreshes was never queried and must not replace the requested one.
         if replica_updates == self.updates:
             self.refresh()
 

@@ -1,4 +1,4 @@
-"""Copies of the network that respond to queries while the original is trained in another thread."""
+"""Copies of the network that serve queries while the original is trained in another thread."""
 
 from __future__ import annotations
 
@@ -68,11 +68,11 @@ class Replicas:
             states: (S, D) normalised.
             state: (D,) normalised, where the observation was made.
             image: (H, W, 3) uint8.
-            min_updates: The older model responds if it has exactly this number of updates, so that a caller which
-                waits for an update gets that very model; otherwise the newest responds.
+            min_updates: The older model is used if it has exactly this number of updates, so that a caller which
+                waits for an update gets that very model; otherwise the newest is used.
 
         Returns:
-            Log std (S,) float32, and the number of updates of the model that responded.
+            Log std (S,) float32, and the number of updates of the model used.
         """
         self._check(state[np.newaxis], image[np.newaxis])
         with torch.inference_mode(), self._locked(min_updates) as replica:

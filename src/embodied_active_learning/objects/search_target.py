@@ -63,8 +63,10 @@ class SearchTarget:
     @property
     def problem(self) -> str:
         """Why an object cannot be recognised, and the remedy; empty if it can, and of a blank."""
-        if self.fingerprint.kind != OBJECT or self.appearance.problem:
-            return "" if self.fingerprint.kind != OBJECT else self.appearance.problem
+        if self.fingerprint.kind != OBJECT:
+            return ""
+        if self.appearance.problem:
+            return self.appearance.problem
         rate, smallest = self._settings.error_rate, self.calibration.smallest_error_rate
         if rate >= smallest:
             return ""

@@ -51,7 +51,7 @@ class StopCheck(Measurement):
 
     Attributes:
         drifts: (K,) distance of each centre from that of the previous check [m]; NaN if their number has changed.
-        drift: The largest of them, 0 without objects; NaN if their number has changed or is the first.
+        drift: The largest of them, 0 without objects; NaN at the first check or if their number has changed.
         stable_checks: Number of successive checks, including this one, that found the same objects.
         stopped: Whether the run may end.
     """

@@ -29,7 +29,7 @@ ROLLBACKS = 3  # at one update, before training fails
 
 
 class TrainingRun:
-    """Stores observations, makes the updates that are due, and responds to queries from a replica of the model.
+    """Stores observations, makes the updates that are due, and serves queries from a replica of the model.
 
     One thread calls train(); any other may call observe(), log_std(), encode(), save() and stop() meanwhile.
     """
@@ -295,7 +295,7 @@ class TrainingRun:
             self._learner.refresh_async(self._wake)
             self._refreshed = self.updates
         if self._passed(self._config.training.checkpoint_every, before) or stopped:
-            self._checkpoint()  # after the refresh, because it stores which model responds to queries
+            self._checkpoint()  # after the refresh, because it stores which model serves queries
 
     def _passed(self, period: int, before: int) -> bool:
         """Return whether a multiple of a period has been reached after update number `before`."""

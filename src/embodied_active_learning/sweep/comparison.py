@@ -62,7 +62,7 @@ def group_records(records: Sequence[Record], key: str) -> Dict[str, List[Record]
     """Group records by a setting (`section/key`) or by "variant", in the order of their first member.
 
     Raises:
-        ConfigError: There is no such setting; a record has none of section `session`.
+        ConfigError: There is no such setting; records do not contain section `session`.
     """
     names = ["variant", *(f"{section}/{item.name}" for section, item in settings(Config) if section != "session")]
     if key not in names:

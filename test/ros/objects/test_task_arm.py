@@ -33,7 +33,9 @@ def arm(monkeypatch):
     return TaskArm(Config())
 
 
-@pytest.mark.parametrize(("has_arm", "expected"), [(False, "no arm: .*arm/move"), (True, "no images: .*image_raw")])
+@pytest.mark.parametrize(
+    ("has_arm", "expected"), [(False, "no arm: .*arm/move"), (True, "arm or camera not ready: .*arm/move .*image_raw")]
+)
 def test_missing_arm_or_camera_fails_after_a_timeout(arm, monkeypatch, has_arm, expected):
     monkeypatch.setattr(task_arm, "is_advertised", lambda name: has_arm)
     with pytest.raises(CommandError, match=expected), arm.lent(TaskProgress(ExclusiveTask("fingerprinting"))):

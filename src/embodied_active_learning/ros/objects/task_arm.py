@@ -64,9 +64,13 @@ class TaskArm:
             progress.check()
             if time.monotonic() < give_up_at:
                 return
+            move, *topics = map(rospy.resolve_name, (names.ARM_MOVE, names.CAMERA_IMAGE, names.ARM_STATE))
             if is_advertised(names.ARM_MOVE):
-                raise CommandError(f"no images: {rospy.resolve_name(names.CAMERA_IMAGE)} is not published")
-            raise CommandError(f"no arm: {rospy.resolve_name(names.ARM_MOVE)} is not advertised; start the arm")
+                raise CommandError(
+                    f"arm or camera not ready: {move} does not respond, or nothing publishes {' or '.join(topics)}; "
+                    "check their nodes"
+                )
+            raise CommandError(f"no arm: {move} is not advertised; start the arm")
 
         self._arm.wait(check)
         return self._arm

@@ -168,7 +168,7 @@ class TaskServer:
             handle.set_aborted(make_result(message=str(error)), str(error))
         except ShutdownRequestedError:
             handle.set_aborted(make_result(message="the node is shutting down"), "the node is shutting down")
-        except Exception as error:  # else the goal would stay active for ever
+        except Exception as error:  # otherwise the goal stays active
             rospy.logerr("%s failed: %s", identifier, traceback.format_exc())
             handle.set_aborted(make_result(message=repr(error)), repr(error))
         finally:
