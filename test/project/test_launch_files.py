@@ -112,6 +112,14 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
     assert not config.params["/use_sim_time"].value
 
 
+@pytest.mark.parametrize(("paused", "expected"), [("true", "/operator"), ("false", "")])
+def test_paused_planner_waits_for_an_operator(tmp_path, paused, expected):
+    path = next(path for path in LAUNCH if path.stem == "learn")
+    config = ROSLaunchConfig()
+    XmlLoader().load(str(path), config, argv=[f"paused:={paused}", f"session_root:={tmp_path}"], verbose=False)
+    assert config.params["/ergodic_planner/paused_by"].value == expected
+
+
 @pytest.mark.parametrize(
     ("name", "argument"),
     [
