@@ -5,7 +5,7 @@
 # make docs    generated files of docs/ and config/, and API pages in build/docs
 # make figures figures and tables of docs/results.md from experiments/results, in about a minute
 # make paper   all missing runs and measurements of docs/results.md, then the figures; hours, can be interrupted
-# make check-results  shortened experiments: a sweep, its comparison and the coverage benchmark; some minutes
+# make check-results  shortened experiments: a sweep, its comparison, a bound, the coverage benchmark; three minutes
 # make bench   all benchmarks: tables and build/benchmarks.json
 .PHONY: all install build demo check test bench bench-docs figures paper check-results lint format docs clean
 

@@ -1,5 +1,6 @@
 #!/bin/bash
-# Shortened experiments: a sweep of 2 worlds x 2 seeds x 150 steps with a variant, its comparison, and the coverage benchmark.
+# Shortened experiments: a sweep of 2 worlds x 2 seeds x 150 steps with a variant, its comparison, a
+# bound and the coverage benchmark.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 set +u; source ./setup.bash; set -u
@@ -15,4 +16,5 @@ variants:
 SPEC
 python3 -m embodied_active_learning.sweep "$folder/short.yaml" --root "$folder" --workers 2
 python3 -m embodied_active_learning.sweep.compare "$folder/results/short" --output "$folder"
+python3 experiments/pac_bayes.py "$folder/short/ergodic-diagonal-seed1" --views 10 --output "$folder/pac_bayes.csv"
 python3 experiments/coverage_benchmark.py --seeds 1 --lengths 50 --output "$folder/coverage.csv"
