@@ -61,7 +61,7 @@ def make_panel(decisions=(), peak=(7, 2), title="a, object-1"):
     x, y = np.linspace(0.3, 0.65, 12), np.linspace(-0.17, 0.17, 9)
     mean = np.full((12, 9), 0.4)
     mean[peak] = 0.52
-    return BeliefPanel(title, make_images(1)[0], x, y, mean, np.full((12, 9), 0.07), mean - 0.4, decisions)
+    return BeliefPanel(title, make_images(1)[0], x, y, mean, np.full((12, 9), 0.07), decisions)
 
 
 def make_stream(count, views):
@@ -255,7 +255,7 @@ def test_false_claim_has_own_marker_and_outcome():
 
 def test_belief_maps_share_colour_scale_and_bar():
     weak, strong = make_panel(), make_panel(title="a, object-2")
-    strong.relief[3, 3] = 0.4
+    strong.mean[3, 3] = 0.8
     figure = beliefs_figure(WORKSPACE, [weak, strong])
     limits = [titled(figure, title)[0].images[0].get_clim() for title in ("a, object-1", "a, object-2")]
     assert limits == [pytest.approx((0.0, 0.4))] * 2

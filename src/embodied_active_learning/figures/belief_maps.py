@@ -29,7 +29,7 @@ from embodied_active_learning.figures.workspace_axes import (
     mark_objects,
     show_extent,
 )
-from embodied_active_learning.objects.beliefs import shared_scale
+from embodied_active_learning.objects.beliefs import prominence, shared_scale
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.report import NO_TRUTH, Truth
 from embodied_active_learning.workspace import Workspace
@@ -57,7 +57,6 @@ class BeliefPanel:
         y: (ny,) centres of the cells [m], equal in all panels.
         mean: (nx, ny) largest mean over yaw.
         std: (nx, ny) standard deviation at that yaw.
-        relief: (nx, ny) prominence of the belief.
         decisions: Decisions about this fingerprint.
     """
 
@@ -67,8 +66,12 @@ class BeliefPanel:
     y: np.ndarray
     mean: np.ndarray
     std: np.ndarray
-    relief: np.ndarray
     decisions: Sequence[Decision]
+
+    @property
+    def relief(self) -> np.ndarray:
+        """(nx, ny) prominence of the belief."""
+        return prominence(self.mean)
 
 
 @default_style

@@ -65,6 +65,5 @@ def _panel(target: SearchTarget, decisions: Sequence[Decision]) -> BeliefPanel:
         target.grid.y,
         mean,
         std,
-        target.grid.prominence(),
         decisions_about(decisions, target.session, target.fingerprint.name),
     )

@@ -105,9 +105,8 @@ class BeliefGrid:
         return np.take_along_axis(mean, best, 2)[..., 0], np.take_along_axis(self.std, best, 2)[..., 0]
 
     def prominence(self) -> np.ndarray:
-        """Return the largest mean over yaw above its median (nx, ny): most of a map is background at the median."""
-        values, _ = self.over_yaw()
-        return values - np.median(values)
+        """Return the prominence (nx, ny) of the largest mean over yaw."""
+        return prominence(self.over_yaw()[0])
 
     def peaks(self, distance: float, most: int) -> List[Peak]:
         """Return local maxima inside the workspace, highest first.
@@ -156,6 +155,11 @@ class BeliefGrid:
         """Whether each of the poses (N, 3) lies on the grid: (N,) bool."""
         x, y = poses[:, 0], poses[:, 1]
         return (self.x[0] <= x) & (x <= self.x[-1]) & (self.y[0] <= y) & (y <= self.y[-1])
+
+
+def prominence(values: np.ndarray) -> np.ndarray:
+    """Return a map (nx, ny) above its median: most of a map is background at about the median."""
+    return values - np.median(values)
 
 
 def shared_scale(reliefs: Iterable[np.ndarray]) -> float:

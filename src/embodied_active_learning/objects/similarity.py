@@ -52,6 +52,7 @@ class Points(NamedTuple):
 
     positions: np.ndarray  # (K, 2) m, in the object's coordinates
     features: np.ndarray  # (K, 3)
+    slopes: np.ndarray  # (K, 2, 2) of their shares, see balance_slopes
 
 
 class Light(NamedTuple):
@@ -132,9 +133,11 @@ def _in_view(
 
 def _points(appearance: Appearance, stored: int, stride: int = 1) -> Tuple[Points, Points]:
     """Points inside the object in a stored view, and those of the ring."""
+    inside = appearance.inside_features[stored, ::stride]
+    ring = appearance.ring_features[stored, ::stride]
     return (
-        Points(appearance.inside_points[stored, ::stride], appearance.inside_features[stored, ::stride]),
-        Points(appearance.ring_points[stored, ::stride], appearance.ring_features[stored, ::stride]),
+        Points(appearance.inside_points[stored, ::stride], inside, balance_slopes(inside)),
+        Points(appearance.ring_points[stored, ::stride], ring, balance_slopes(ring)),
     )
 
 
@@ -158,7 +161,7 @@ def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: T
         ex, ey = ex - _GRADIENT_PRIOR * gradient[:, 0], ey - _GRADIENT_PRIOR * gradient[:, 1]
         determinant = xx * yy - xy**2
         gradient = gradient + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], axis=-1) / determinant[:, None]
-    balance = _fit_balance(change[..., 1:], weight, balance_slopes(points.features))
+    balance = _fit_balance(change[..., 1:], weight, points.slopes)
     return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), balance)
 
 
@@ -188,8 +191,8 @@ def _match(features: np.ndarray, points: Points, light: Light, scale: Tuple[floa
     x, y = (points.positions / _GRADIENT_UNIT).T
     change = features - points.features
     error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
-    slopes = balance_slopes(points.features)
-    explained = light.balance[:, None, :1] * slopes[..., 0] + light.balance[:, None, 1:] * slopes[..., 1]
+    red, green = np.moveaxis(points.slopes, -1, 0)
+    explained = light.balance[:, None, :1] * red + light.balance[:, None, 1:] * green
     colour = colour_distance(change[..., 1:] - explained)
     return np.asarray(1.0 / (1.0 + (error / scale[0]) ** 2 + colour / scale[1] ** 2))
 

@@ -103,16 +103,16 @@ def _object(kind: str, position: Tuple[float, float], generator: np.random.Gener
 def _distractors(count: int, kinds: Sequence[str], generator: np.random.Generator) -> List[str]:
     """Names of different procedural objects that are wide enough to be seen from above."""
     found: List[str] = []
-    tried = set(kinds)
+    untried = {f"random_urdfs/{number:03d}" for number in range(RANDOM_URDFS)} - set(kinds)
     while len(found) < count:
-        if len(tried) >= RANDOM_URDFS:
+        if not untried:
             raise WorldError(
                 f"only {len(found)} of {count} procedural objects are left: use fewer kinds or distractors"
             )
         name = f"random_urdfs/{generator.integers(RANDOM_URDFS):03d}"
-        if name not in tried and is_wide(name):
+        if name in untried and is_wide(name):
             found.append(name)
-        tried.add(name)
+        untried.discard(name)
     return found
 
 
@@ -130,7 +130,10 @@ def _positions(
 ) -> List[Tuple[float, float]]:
     """Random positions (x, y), m, that keep their distance."""
     lower, upper = np.array(workspace.lower[:2]) + _EDGE, np.array(workspace.upper[:2]) - _EDGE
-    for _ in range(_MAX_ATTEMPTS if (lower < upper).all() else 0):
+    if not count:
+        return []
+    attempts = _MAX_ATTEMPTS if (lower < upper).all() else 0
+    for _ in range(attempts):
         points: List[np.ndarray] = []
         for _ in range(20 * count):
             point = np.round(generator.uniform(lower, upper), 3)
@@ -138,8 +141,6 @@ def _positions(
                 points.append(point)
             if len(points) == count:
                 return [(float(x), float(y)) for x, y in points]
-        if not count:
-            return []
     raise WorldError(f"no room for {count} objects {spacing:g} m apart in the workspace: use fewer, or less spacing")
 
 

@@ -39,6 +39,11 @@ class Lab:
         assert rate == CONFIG.franka.rate
         self.starts += 1
 
+    def moves(self, speed):
+        """Move the arm at a speed [m/s] for half a second."""
+        self.speed = speed
+        self.passes(0.5)
+
     def passes(self, seconds):
         for _ in range(round(seconds / 0.05)):
             self.now += 0.05
@@ -56,12 +61,10 @@ def lab(monkeypatch):
 
 
 def test_controller_is_started_only_at_rest(lab):
-    lab.speed = 0.02
-    lab.passes(0.5)
+    lab.moves(0.02)
     lab.supervisor.check()
     assert lab.starts == 0
-    lab.speed = 0.0
-    lab.passes(0.5)
+    lab.moves(0.0)
     lab.supervisor.check()
     assert lab.starts == 1
     assert lab.passes(0.1)
@@ -69,14 +72,13 @@ def test_controller_is_started_only_at_rest(lab):
 
 def test_recovery_of_moving_arm_is_rejected(lab):
     lab.supervisor.check()
-    lab.errors, lab.speed = ("stopped",), 0.02
-    lab.passes(0.5)
+    lab.errors = ("stopped",)
+    lab.moves(0.02)
     lab.errors = ()
     with pytest.raises(ArmNotReadyError, match="the arm is not known to be at rest"):
         lab.supervisor.recover()
     assert lab.starts == 1
-    lab.speed = 0.0
-    lab.passes(0.5)
+    lab.moves(0.0)
     lab.supervisor.recover()
     assert lab.starts == 2
 
