@@ -14,12 +14,16 @@ from typing import Dict, List
 
 from embodied_active_learning.evaluation.result_tables import (
     Rows,
+    final_ergodic_measure,
+    first_below,
     group_table,
+    last_value,
     markdown,
     mean_table,
     replace_block,
     row_curves,
     run_table,
+    summary_value,
 )
 from embodied_active_learning.evaluation.table1 import RULES, table_lines
 from embodied_active_learning.figures.curves import draw_curves
@@ -32,7 +36,16 @@ from embodied_active_learning.sweep.spec import load_sweep
 EXPERIMENTS = Path(__file__).resolve().parent
 RESULTS, PAGE = EXPERIMENTS / "results", EXPERIMENTS.parent / "docs" / "results.md"
 IMAGES = PAGE.parent / "images" / "results"
-MEASURES = ("ergodic_measure", "coverage", "active_units", "mse_own", "mse_shuffled", "mse_none", "distance")
+MEASURES = {
+    "ergodic measure [nat]": final_ergodic_measure,
+    "steps to 0.2 nat": first_below("exploration", "ergodic_measure", 0.2),
+    "active units": summary_value("active_units"),
+    "updates to an error of 0.004": first_below("evaluation", "mse_own", 0.004),
+    "error own": summary_value("mse_own"),
+    "error none": summary_value("mse_none"),
+    "distance [m]": summary_value("distance"),
+    "control effort": last_value("exploration", "effort"),
+}
 
 
 def main() -> None:

@@ -5,11 +5,15 @@ import pytest
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.evaluation.result_tables import (
+    first_below,
+    group_table,
     interval,
+    last_value,
     mean_table,
     replace_block,
     row_curves,
     run_table,
+    summary_value,
 )
 from launching import ROOT
 from sample_records import make_record
@@ -47,6 +51,14 @@ def test_row_curves_average_rows_with_the_same_x():
 def test_run_table_shows_the_end_of_a_run():
     line = run_table([make_record("a", "ergodic", 1.0)])[-1]
     assert line.startswith("| ergodic | diagonal | 0 | 100 | 0.755 |")
+
+
+def test_group_table_states_how_many_runs_have_a_value():
+    """The columns rise from 0.01 to 1 and from 0.03 to 3 in 100 steps."""
+    groups = {"a": [make_record("a", "ergodic", 1.0), make_record("b", "ergodic", 3.0)]}
+    measures = {"first": first_below("exploration", "coverage", 0.025), "last": last_value("evaluation", "mse_own")}
+    assert group_table(groups, measures)[-1] == "| a | 2 | 1; 1 of 2 runs | 2 (1 to 3) |"
+    assert group_table(groups, {"distance": summary_value("distance")})[-1] == "| a | 2 | - |"
 
 
 def test_block_is_replaced(tmp_path):

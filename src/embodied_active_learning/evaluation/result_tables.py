@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Iterable, List, Mapping, Optional, Sequence
+from typing import Callable, Iterable, List, Mapping, Optional, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from embodied_active_learning.figures.curves import Curve
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.session.atomic import write_text
+from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.sweep.comparison import bootstrap_mean
 from embodied_active_learning.sweep.run_records import Record
 
@@ -19,6 +20,8 @@ _READER = FileReader(CorruptFileError, "restore it")
 _LAST_STEPS = 50
 """Steps that the ergodic measure at the end of a run is averaged over."""
 Rows = Sequence[Mapping[str, str]]
+Measure = Callable[[Record], Optional[float]]
+"""A number of a run; None if it has none."""
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> List[str]:
@@ -36,16 +39,44 @@ def run_table(records: Sequence[Record]) -> List[str]:
     return markdown(header, [_run_row(record) for record in records])
 
 
-def group_table(groups: Mapping[str, Sequence[Record]], measures: Sequence[str]) -> List[str]:
-    """Return a table of means over runs, with 95 % intervals, of fields of the summary."""
+def group_table(groups: Mapping[str, Sequence[Record]], measures: Mapping[str, Measure]) -> List[str]:
+    """Return a table of means over runs with 95 % intervals: a line for each group, a column for each measure."""
     rows = []
     for name, records in groups.items():
         cells: List[object] = [name, len(records)]
-        for measure in measures:
-            values = [getattr(record.summary, measure) for record in records]
-            cells.append(interval([float(value) for value in values if value is not None]))
+        for measure in measures.values():
+            values = [value for value in map(measure, records) if value is not None]
+            reached = f"; {len(values)} of {len(records)} runs" if 0 < len(values) < len(records) else ""
+            cells.append(interval(values) + reached)
         rows.append(cells)
     return markdown(("group", "runs", *measures), rows)
+
+
+def summary_value(name: str) -> Measure:
+    """Return the measure that is a field of the summary."""
+    return lambda record: _optional(getattr(record.summary, name))
+
+
+def last_value(table: str, column: str) -> Measure:
+    """Return the measure that is the last value of a column; None if there is no row."""
+    return lambda record: float(record.tables[table][column][-1]) if len(record.tables[table][column]) else None
+
+
+def first_below(table: str, column: str, limit: float) -> Measure:
+    """Return the measure that is the step or update of the first row with a value below a limit; None without one."""
+
+    def find(record: Record) -> Optional[float]:
+        below = record.tables[table][COLUMNS[table][0]][record.tables[table][column] < limit]
+        return float(below[0]) if len(below) else None
+
+    return find
+
+
+def final_ergodic_measure(record: Record) -> Optional[float]:
+    """Return the mean of the ergodic measure over the last 50 steps; None if there is no row of them."""
+    table = record.tables["exploration"]
+    late = table["ergodic_measure"][table["step"] > record.summary.steps - _LAST_STEPS]
+    return float(np.mean(late)) if len(late) else None
 
 
 def interval(values: Sequence[float]) -> str:
@@ -99,19 +130,17 @@ def replace_block(path: Path, name: str, lines: Sequence[str]) -> None:
 def _run_row(record: Record) -> List[object]:
     """Return the cells of a run."""
     summary, exploration = record.summary, record.config.exploration
-    measure = record.tables["exploration"]
-    late = measure["ergodic_measure"][measure["step"] > summary.steps - _LAST_STEPS]
     errors = [summary.mse_own, summary.mse_shuffled, summary.mse_none]
     return [
         record.variant,
         record.config.simulation.world,
         exploration.seed,
         summary.steps,
-        float(np.mean(late)) if len(late) else "-",
-        _number(summary.coverage),
+        _or_dash(final_ergodic_measure(record)),
+        _or_dash(summary.coverage),
         "-" if summary.active_units is None else f"{summary.active_units:.0f}",
         " / ".join(f"{value:.2g}" for value in errors if value is not None) or "-",
-        _number(summary.distance),
+        _or_dash(summary.distance),
         record.failure or _objects(record),
         summary.wall_time / 60.0,
     ]
@@ -123,8 +152,12 @@ def _objects(record: Record) -> str:
     return ", ".join(f"{item.nearest} {100.0 * (item.distance or 0.0):.1f}" for item in found) or "none"
 
 
-def _number(value: Optional[float]) -> object:
-    return "-" if value is None else float(value)
+def _optional(value: Optional[float]) -> Optional[float]:
+    return None if value is None else float(value)
+
+
+def _or_dash(value: Optional[float]) -> object:
+    return "-" if value is None else value
 
 
 def _text(value: object) -> str:

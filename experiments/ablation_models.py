@@ -1,0 +1,95 @@
+#!/usr/bin/env python3
+"""Measure the models of the ablations on the same views, and search for their fingerprints in a new environment.
+
+    source setup.bash
+    python3 -m embodied_active_learning.sweep experiments/ablations.yaml
+    python3 -m embodied_active_learning.sweep experiments/identification_images.yaml
+    python3 experiments/ablation_models.py SWEEPS/ablations SWEEPS/identification_images/even-star_plant_duck-seed100
+
+A run evaluates its model on its own observations, which differ between explorers. Here the views are drawn
+independently: from the whole workspace, and within 6 cm of an object. Rows are written to
+experiments/results/ablation_models/ablation_models.csv; sessions that have a row are skipped.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Dict
+
+import numpy as np
+
+from embodied_active_learning.evaluation.ergodicity import Views, draw_independent, view_features
+from embodied_active_learning.evaluation.table1 import ensure_fingerprints, measure
+from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.objects.report import true_kinds
+from embodied_active_learning.pipeline.api import load_session
+from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.session_model import load_session_model
+from embodied_active_learning.simulation.scene import Scene
+from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.simulation.world import load_world
+from embodied_active_learning.sweep.csv_files import append_rows, read_rows
+
+NEAR, VIEWS, SEED = 0.06, 300, 1000
+RESULTS = Path(__file__).resolve().parent / "results" / "ablation_models" / "ablation_models.csv"
+
+
+def main() -> None:
+    """Make the missing rows."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("models", type=Path, help="folder of the sessions that learned the models")
+    parser.add_argument("images", type=Path, help="session with the images of the new environment")
+    parser.add_argument("--count", type=int, default=500, help="images to search")
+    parser.add_argument("--output", type=Path, default=RESULTS)
+    options = parser.parse_args()
+    images = load_session(options.images)
+    made = {row["model"] for row in read_rows(options.output, missing_ok=True)}
+    for path in sorted(path.parent for path in options.models.glob("*/summary.yaml")):
+        if path.name not in made:
+            session = load_session(path)
+            row = {"model": path.name, **view_errors(session), **successes(session, images, options.count)}
+            append_rows(options.output, [row])
+            print(row, flush=True)
+
+
+def view_errors(session: Session) -> Dict[str, object]:
+    """Return the mean squared errors of the session's model on views drawn independently of its run."""
+    found, config = load_session_model(session), session.config
+    if found is None:
+        raise SystemExit(f"{session.paths.path} has no trained model: finish the run first")
+    places = np.array([[x, y] for _, x, y in true_objects(config)])
+    scene = Scene(load_world(config.simulation.world, config.workspace.box()), config.camera)
+    everywhere = draw_independent(config, scene, lambda states: np.zeros(len(states)), VIEWS, SEED)
+    near = draw_independent(config, scene, lambda states: near_log_std(states, places), VIEWS, SEED)
+    scene.close()
+
+    def error(views: Views) -> float:
+        return float(view_features(found.model, views)[:, -1].mean())
+
+    return {"error_everywhere": error(everywhere), "error_near_objects": error(near)}
+
+
+def near_log_std(states: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return a log density (S,) that is constant within NEAR of one of the places (P, 2), and negligible elsewhere."""
+    distance = np.linalg.norm(states[:, np.newaxis, :2] - places, axis=-1).min(axis=1)
+    return np.where(distance < NEAR, 0.0, -100.0)
+
+
+def successes(session: Session, images: Session, count: int) -> Dict[str, object]:
+    """Return the objects with fingerprints, and the objects of these kinds found again under both rules of Table 1."""
+    objects, others = true_objects(session.config), true_objects(images.config)
+    learned = {kind for kind in true_kinds(ensure_fingerprints(session), objects).values() if kind not in ("", BLANK)}
+    missing = {kind for kind, _, _ in objects} - learned
+    missed = sum(kind in missing for kind, _, _ in others)  # each counts as a test without a hit
+    result: Dict[str, object] = {"kinds_learned": len(learned), "kinds": len({kind for kind, _, _ in objects})}
+    rows = [row for row in measure(session, images, count) if row["kind"] != BLANK]
+    for rule in ("ranked", "decided"):
+        chosen = [row for row in rows if row["rule"] == rule]
+        result[f"{rule}_hits"] = sum(int(str(row["hits"])) for row in chosen)
+        result[f"{rule}_tests"] = missed + sum(int(str(row["tests"])) for row in chosen)
+    return result
+
+
+if __name__ == "__main__":
+    main()
