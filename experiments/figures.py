@@ -140,14 +140,14 @@ def records_of(sweep: str) -> List[Record]:
 
 
 def missing(sweep: str, records: List[Record]) -> str:
-    """Return a sentence that states which runs of a sweep have not been made, with the seeds of each variant."""
+    """Return a sentence that states which runs of a sweep are missing, with the seeds of each variant."""
     runs, made = load_sweep(EXPERIMENTS / f"{sweep}.yaml").runs, {record.name for record in records}
     absent: Dict[str, List[str]] = {}
     for name in (run.name for run in runs if run.name not in made):
         stem, _, seed = name.rpartition("-seed")
         absent.setdefault(stem, []).append(seed)
     listed = "; ".join(f"{stem} {', '.join(seeds)}" for stem, seeds in absent.items())
-    return f"{len(made)} of {len(runs)} runs are made." + (f" Missing seeds: {listed}." if absent else "")
+    return f"{len(made)} of {len(runs)} runs completed." + (f" Missing seeds: {listed}." if absent else "")
 
 
 if __name__ == "__main__":

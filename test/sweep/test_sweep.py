@@ -129,12 +129,12 @@ def test_failed_run_does_not_stop_the_others(tmp_path, monkeypatch):
     def run(job):
         if job.run.name.endswith("seed0"):
             raise SessionError("the disk is full")
-        return "made"
+        return "completed"
 
     monkeypatch.setattr(runner, "_run_in_process", run)
     lines = []
     assert make_runs(jobs_of(tmp_path), 1, lines.append) == {"run-diagonal-seed0": "the disk is full"}
-    assert "made" in lines
+    assert "completed" in lines
 
 
 def test_diverged_run_is_recorded_as_failed(tmp_path, monkeypatch):
@@ -179,9 +179,9 @@ def test_dry_run_lists_runs_disk_and_time(made, tmp_path, capsys):
     assert main(arguments) == 0
     output = capsys.readouterr().out
     assert f"run-diagonal-seed0: 0 of {STEPS} steps" in output
-    assert "time with 1 workers: unknown until a run is made" in output
+    assert "time with 1 workers: unknown until a run is complete" in output
     assert main([*arguments, "--results", str(made[0] / "records")]) == 0
-    assert "run-diagonal-seed0: made" in capsys.readouterr().out
+    assert "run-diagonal-seed0: completed" in capsys.readouterr().out
 
 
 def test_dry_run_estimates_no_time_from_failed_runs(copied, capsys):
@@ -190,7 +190,7 @@ def test_dry_run_estimates_no_time_from_failed_runs(copied, capsys):
     write_record(record, replace(load_record(record), failure="too large"))
     shutil.rmtree(copied / "records" / "run-diagonal-seed1")
     assert main(arguments) == 0
-    assert "unknown until a run is made" in capsys.readouterr().out
+    assert "unknown until a run is complete" in capsys.readouterr().out
 
 
 def test_command_refuses_an_invalid_sweep(tmp_path, capsys):

@@ -28,7 +28,7 @@ from embodied_active_learning.sweep.spec import load_sweep
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Make the runs. Return 0 if all are made, 1 if some failed, 2 if the sweep is invalid, 130 if interrupted."""
+    """Make the runs. Return 0 if all are complete, 1 if some failed, 2 if the sweep is invalid, 130 if interrupted."""
     options = _parse(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print("interrupted: the same command continues the sweep", file=sys.stderr)  # noqa: T201
         return 130
-    _print(f"{len(jobs) - len(errors)} of {len(jobs)} runs made; records: {jobs[0].records}")
+    _print(f"{len(jobs) - len(errors)} of {len(jobs)} runs completed; records: {jobs[0].records}")
     return 1 if errors else 0
 
 
@@ -109,7 +109,7 @@ def _plan(jobs: Sequence[Job], folder: Path, workers: int) -> str:
     for job in jobs:
         job.check()
         progress = job.progress()
-        state = "made" if job.complete else f"{progress.step} of {progress.steps} steps"
+        state = "completed" if job.complete else f"{progress.step} of {progress.steps} steps"
         lines.append(f"{job.run.name}: {state}")
         if job.complete:
             record = load_record(job.record)
@@ -117,7 +117,7 @@ def _plan(jobs: Sequence[Job], folder: Path, workers: int) -> str:
                 rates.append(record.summary.wall_time / max(1, record.summary.steps))
         else:
             left += (1.0 - progress.share) * progress.steps
-    time = duration(left * statistics.median(rates) / workers) if rates else "unknown until a run is made"
+    time = duration(left * statistics.median(rates) / workers) if rates else "unknown until a run is complete"
     needed, free = sum(job.bytes_needed() for job in jobs) / 1e9, free_bytes(folder) / 1e9
     lines.append(f"disk: {needed:.1f} GB needed in {folder}, {free:.1f} GB free; time with {workers} workers: {time}")
     return "\n".join(lines)

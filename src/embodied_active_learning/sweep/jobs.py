@@ -24,7 +24,7 @@ from embodied_active_learning.sweep.spec import SweepRun, differences
 class Job:
     """A run, where its session and its record are stored, and how many threads train it.
 
-    A job can be repeated at any time: a run with a record is not made again, and a session is resumed.
+    A job can be repeated at any time: a run with a record is not repeated, and a session is resumed.
     """
 
     run: SweepRun
@@ -44,7 +44,7 @@ class Job:
 
     @property
     def complete(self) -> bool:
-        """Whether the run has been made, here or elsewhere."""
+        """Whether the run is complete, here or elsewhere."""
         return has_record(self.record)
 
     @property
@@ -90,7 +90,7 @@ class Job:
             EmbodiedActiveLearningError: Like learn.
         """
         if self.complete:
-            return f"{self.run.name}: already made"
+            return f"{self.run.name}: already completed"
         config, failure = self._config(), ""
         try:
             session = learn(config)
