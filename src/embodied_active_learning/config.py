@@ -79,7 +79,7 @@ class ObjectiveConfig:
 class TrainingConfig:
     """Online training (paper, appendix)."""
 
-    batch_size: int = setting(64, "observations in a mini-batch", "", 1, 65536)
+    batch_size: int = setting(64, "observations in a mini-batch", "", 2, 65536)
     learning_rate: float = setting(1e-3, "learning rate of Adam", "", 1e-8, 1.0)
     first_update_at: int = setting(64, "observations before the first update", "", 1, 1000000)
     start_at_mean_colour: bool = setting(
@@ -101,8 +101,8 @@ class TrainingConfig:
         30.0, "time that a round waits for a worker after the trainer's own updates", "s", 0.1, 3600.0
     )
     active_unit_threshold: float = setting(0.01, "variance of a latent mean that makes a unit active", "", 0.0, 100.0)
-    evaluate_every: int = setting(300, "interval between evaluations on a fixed subset", "updates", 1, 1000000)
-    evaluation_size: int = setting(256, "observations in the fixed subset", "", 2, 65536)
+    evaluate_every: int = setting(300, "interval between evaluations on a random subset of the observations", "updates", 1, 1000000)
+    evaluation_size: int = setting(256, "observations in the subset", "", 2, 65536)
     checkpoint_every: int = setting(600, "interval between checkpoints", "updates", 1, 1000000)
     checkpoints_kept: int = setting(2, "number of checkpoints kept", "", 1, 1000)
 
@@ -124,7 +124,7 @@ class ExplorationConfig:
     seed: int = setting(0, "random seed", "", 0, 2**31 - 1)
     step_duration: float = setting(0.2, "time between observations", "s", 0.01, 10.0)
     samples: int = setting(1000, "workspace samples S", "", 10, 100000)
-    fresh_samples: int = setting(100, "samples redrawn at each step", "", 0, 100000)
+    fresh_samples: int = setting(100, "samples redrawn at each step, at most all", "", 0, 100000)
     sample_box: float = setting(1.0, "size of the sampled box, relative to the workspace", "", 1.0, 2.0)
     kernel_variance: float = setting(
         0.0,
@@ -294,10 +294,6 @@ class Config:
             (
                 self.exploration.step_duration > self.arm.max_duration,
                 "exploration/step_duration is longer than arm/max_duration: the arm would refuse every command",
-            ),
-            (
-                self.exploration.fresh_samples > self.exploration.samples,
-                "exploration/fresh_samples is larger than exploration/samples: redraw at most all of them",
             ),
             (
                 training.batch_size > training.first_update_at,

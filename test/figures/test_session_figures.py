@@ -53,7 +53,7 @@ def make_config(root, name="a", **sections):
         "session": {"root": str(root), "name": name},
         "camera": {"width": 45, "height": 45},
         "model": {"latent_size": 4, "hidden_sizes": [32, 16]},
-        "training": {"first_update_at": 1, "batch_size": 1},
+        "training": {"first_update_at": 2, "batch_size": 2},
         "exploration": {"steps": 60},
     }
     return Config.from_dict({**values, **sections})

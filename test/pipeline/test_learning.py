@@ -74,7 +74,7 @@ def test_run_that_ends_early_is_a_shorter_run(tmp_path, monkeypatch):
     assert summary.steps == reports[-1].steps < STEPS
     assert reports[-1].stopping.startswith("objects 1 for 3/3 checks")
     again = learn(tiny(tmp_path, "fixed", steps=summary.steps))
-    for name in ("exploration.csv", "training.csv"):
+    for name in ("exploration.csv", "training.csv", "evaluation.csv"):
         assert (again.paths.path / name).read_bytes() == (session.paths.path / name).read_bytes(), name
     weights, expected = (load_model(found.paths.model)[0] for found in (session, again))
     assert all(torch.equal(weights[name], expected[name]) for name in expected)

@@ -34,7 +34,7 @@ def test_run_combines_profile_and_overrides(tmp_path):
     config = load(tmp_path, SPEC.replace("worlds: [bottom", "profile: paper\nworlds: [bottom")).runs[-1].config()
     exploration = config.exploration
     assert (exploration.steps, exploration.seed, exploration.explorer) == (300, 7, "random_walk")
-    assert exploration.fresh_samples == 1000
+    assert exploration.fresh_samples == 100000
     assert config.simulation.world == "right"
 
 

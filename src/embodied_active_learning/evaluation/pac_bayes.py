@@ -34,7 +34,8 @@ class BoundTerms:
         kl: Sum of KL divergences between posterior and prior, divided by lambda.
         confidence: log(1 / delta) / lambda.
         continuity: K_phi K_theta (mean distance of states + mean distance of images).
-        condition: K_theta times the mean distance of states, the term that conditioning adds.
+        condition: K_theta times the mean distance of states, which conditioning adds, as it adds the mean distance of
+            states in `continuity`.
         moment: Logarithm of the exponential moment under the prior, times n / lambda.
         encoder_lipschitz: Lower estimate of K_phi.
         decoder_lipschitz: Lower estimate of K_theta.

@@ -155,11 +155,12 @@ class WorkspaceSamples:
         np.maximum(self._largest, largest, out=self._largest)
 
     def refresh(self) -> None:
-        """Draw the oldest `fresh_samples` samples again.
+        """Draw the oldest `fresh_samples` samples again, at most all.
 
         Called once a step, this replaces all samples within S / fresh_samples steps.
         """
-        size, fresh = len(self._states), self._exploration.fresh_samples
+        size = len(self._states)
+        fresh = min(self._exploration.fresh_samples, size)
         self._draw((self._oldest + np.arange(fresh)) % size)
         self._oldest = (self._oldest + fresh) % size
 

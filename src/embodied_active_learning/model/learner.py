@@ -155,11 +155,9 @@ class Learner:
         )
 
     def evaluate(self) -> Evaluation:
-        """Evaluate the model on a fixed subset, and its log std over the workspace for the newest latent.
+        """Evaluate the model on a random subset, and its log std over the workspace for the newest latent.
 
-        The subset, `evaluation_size` of the observations of the whole run, follows from the seed; after an early end it
-        is drawn from the observations made. Members that the last update could not use yet are left out; if fewer than
-        two remain, the newest two observations are used.
+        The subset has at most `evaluation_size` of the observations that the last update could use.
         Does not draw from the training's generator, so that evaluations do not change the run.
         """
         count = self._count(max(0, self.updates - 1))
@@ -374,8 +372,10 @@ class Learner:
         return self.network.log_std(latent, points).cpu().numpy()
 
     def _evaluation_indices(self, count: int) -> np.ndarray:
-        """Indices (N,) of the fixed subset among the first `count` observations, or of the last two of these."""
+        """Indices (N,) of a random subset of the first `count` observations, in random order.
+
+        Every observation has a random key that follows from the seed, and the smallest keys are chosen: the subset
+        changes little while a run grows, and does not depend on the number of steps that are planned.
+        """
         random = np.random.default_rng(np.random.SeedSequence([self._seed, SUBSET_STREAM]))
-        chosen = random.permutation(self._config.exploration.steps)[: self._config.training.evaluation_size]
-        present = chosen[chosen < count]
-        return present if len(present) >= 2 else np.arange(max(0, count - 2), count)
+        return np.argsort(random.random(count), kind="stable")[: self._config.training.evaluation_size]

@@ -15,7 +15,7 @@ from embodied_active_learning.model.verdict import ReconstructionErrors
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The model on a fixed subset of the observations. Errors are mean squared errors of pixels in [0, 1].
+    """The model on a random subset of the observations. Errors are mean squared errors of pixels in [0, 1].
 
     mse_own: each image decoded from its own latent; mse_shuffled: from another image's; mse_none: from z = 0.
     """

@@ -11,6 +11,7 @@ from typing import List, Sequence, Tuple
 
 import cv2
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.errors import ObservationError
@@ -113,8 +114,7 @@ def _threshold(own: Sequence[np.ndarray]) -> Tuple[float, float]:
 
 def _pairwise(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Euclidean distances (N, M) float32 between vectors (N, K) and (M, K)."""
-    squares = np.square(one).sum(axis=1)[:, None] + np.square(other).sum(axis=1) - 2.0 * one @ other.T
-    return np.sqrt(np.maximum(squares, 0.0)).astype(np.float32)
+    return cdist(one, other).astype(np.float32)  # direct differences: precise also for nearly equal vectors
 
 
 def _pixels(images: np.ndarray) -> np.ndarray:
