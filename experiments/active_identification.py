@@ -10,14 +10,14 @@ seeds for each explorer. Rows are appended to results.csv, so that an interrupte
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 import torch
 from identification import Evaluation
-from identification_scenes import CONDITIONS, append, judge, read
+from identification_scenes import CONDITIONS, judge
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import VelocityCommand
@@ -28,6 +28,7 @@ from embodied_active_learning.pipeline.exploration import ExplorationRun
 from embodied_active_learning.pipeline.identification import FIRST_EVALUATION, next_evaluation
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import World
+from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
 EXPLORERS = ("active", "uniform_ergodic")
 
@@ -62,18 +63,17 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=1000, help="largest number of images")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "results.csv"
-    done = {(row["condition"], int(row["scene"]), row["explorer"]) for row in read(path)}
+    done = {(row["condition"], int(row["scene"]), row["explorer"]) for row in read_rows(path, missing_ok=True)}
     evaluation = Evaluation(options.sessions)
     for condition in options.conditions:
         for scene in range(options.scenes):
             for explorer in EXPLORERS:
                 if (condition, scene, explorer) not in done:
                     row = run(evaluation, condition, scene, explorer, options.images)
-                    append(path, [row])
+                    append_rows(path, [asdict(row)])
                     print(row, flush=True)
-    report(read(path))
+    report(read_rows(path))
 
 
 def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, most: int) -> Row:

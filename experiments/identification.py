@@ -10,13 +10,13 @@ are kept for one final report: use that once, after all development.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Iterator, List, Sequence, Tuple
 
 import torch
 from identification_baselines import BASELINES, Stream
-from identification_scenes import CONDITIONS, Place, Row, Scenes, append, judge, photograph, read, report, true_kind
+from identification_scenes import CONDITIONS, Place, Row, Scenes, judge, photograph, report, true_kind
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.objects.decision import Decision, decisions_about
@@ -27,6 +27,7 @@ from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.simulation.world import World, load_world
+from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
 PAPER = {
     "ranked (count known), our reading": {"decision": "belief", "min_belief": 0.0},
@@ -48,14 +49,15 @@ def main() -> None:
     parser.add_argument("--reserved", action="store_true", help="use the reserved objects and tables")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    done = {(row["condition"], int(row["scene"])) for row in read(options.output)}
+    done = {(row["condition"], int(row["scene"])) for row in read_rows(options.output, missing_ok=True)}
     evaluation = Evaluation(options.sessions, options.baselines, options.reserved)
     for number in range(options.first, options.first + options.scenes):
         for condition in options.conditions:
             if (condition, number) not in done:
-                append(options.output, list(evaluation.run(evaluation.scenes.draw(condition, number), options.images)))
+                rows = evaluation.run(evaluation.scenes.draw(condition, number), options.images)
+                append_rows(options.output, map(asdict, rows))
                 print(condition, number, flush=True)
-    report(read(options.output))
+    report(read_rows(options.output))
 
 
 class Evaluation:

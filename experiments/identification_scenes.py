@@ -7,16 +7,16 @@ seeds below 5000; reserved scenes have /500 to /999 and other seeds.
 
 from __future__ import annotations
 
-import csv
 import zlib
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import WorldError
+from embodied_active_learning.evaluation.result_tables import binomial_interval
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.report import SAME_PLACE, nearest
@@ -199,24 +199,6 @@ def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[st
     )
 
 
-def append(path: Path, rows: Sequence[Any]) -> None:
-    """Append rows to a CSV file."""
-    new = not path.exists()
-    with path.open("a", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [field.name for field in fields(rows[0])])
-        if new:
-            writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
-def read(path: Path) -> List[Dict[str, str]]:
-    """Read the rows of a CSV file; none if there is no such file."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
 def report(rows: Sequence[Dict[str, str]]) -> None:
     """Print hits, false claims and undecided shares with intervals over sessions, and location errors.
 
@@ -239,13 +221,13 @@ def report(rows: Sequence[Dict[str, str]]) -> None:
 
 
 def _report_line(condition: str, rule: str, rows: Sequence[Dict[str, str]]) -> None:
-    present = [row for row in rows if row["present"] == "1" and _is_fair(row)]
-    there = _one_of_a_kind(present)
+    there = _one_of_a_kind([row for row in rows if row["present"] == "1" and _is_fair(row)])
     absent = [row for row in rows if row["present"] == "0"]
     errors = [100.0 * float(row["error"]) for row in there if row["hit"] == "1" and row["kind"] != BLANK]
+    of_present = [row for row in rows if row["present"] == "1"]
     cells = (
         *(share(there, name) for name in ("hit", "undecided")),
-        *(share(part, "false_claim") for part in (present, absent)),
+        *(share(part, "false_claim") for part in (of_present, absent)),
         share(absent, "undecided"),
     )
     if rows:
@@ -267,12 +249,20 @@ def _is_fair(row: Dict[str, str]) -> bool:
 
 
 def share(rows: Sequence[Dict[str, str]], field: str) -> str:
-    """Return a count with the 95 % bootstrap interval of its share, resampled over sessions."""
+    """Return a count with the 95 % interval of its share.
+
+    The interval is a bootstrap over sessions; where that has no width, because the share is 0 or 1 in all sessions or
+    there is a single session, it is the exact one of independent rows.
+    """
     if not rows:
         return "-"
     sessions = sorted({row["session"] for row in rows})
     values = [[int(row[field]) for row in rows if row["session"] == name] for name in sessions]
     counts = np.array([[sum(part), len(part)] for part in values])
-    drawn = counts[np.random.default_rng(0).integers(len(sessions), size=(_RESAMPLES, len(sessions)))].sum(axis=1)
-    low, high = np.quantile(drawn[:, 0] / drawn[:, 1], (0.025, 0.975))
-    return f"{counts[:, 0].sum()} / {counts[:, 1].sum()} ({100 * low:.0f}-{100 * high:.0f} %)"
+    hits, tests = counts.sum(axis=0)
+    if hits in (0, tests) or len(sessions) == 1:
+        low, high = binomial_interval(int(hits), int(tests))
+    else:
+        drawn = counts[np.random.default_rng(0).integers(len(sessions), size=(_RESAMPLES, len(sessions)))].sum(axis=1)
+        low, high = np.quantile(drawn[:, 0] / drawn[:, 1], (0.025, 0.975))
+    return f"{hits} / {tests} ({100 * low:.0f}-{100 * high:.0f} %)"

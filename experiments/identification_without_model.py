@@ -21,11 +21,9 @@ from identification_scenes import (
     Place,
     Row,
     Scenes,
-    append,
     judge,
     locations,
     photograph,
-    read,
     report,
     true_kind,
 )  # fmt: skip
@@ -46,6 +44,7 @@ from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS
 from embodied_active_learning.simulation.world import World, build_world
 from embodied_active_learning.simulation.world_settings import GeneratedTexture
+from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
 HALVES = {"tuning": 0, "checking": 1}
 TABLES, OBJECTS = 8, 3
@@ -62,7 +61,7 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=300, help="images of each scene")
     parser.add_argument("--output", type=Path, help="CSV file to which rows are appended; scenes in it are skipped")
     options = parser.parse_args()
-    rows = read(options.output) if options.output else []
+    rows = read_rows(options.output, missing_ok=True) if options.output else []
     done = {(row["condition"], int(row["scene"])) for row in rows}
     half = Half(options.half)
     for condition in options.conditions:
@@ -72,7 +71,7 @@ def main() -> None:
                 found = half.search(place, *photograph(place.world, half.config, options.images, number))
                 rows += [{name: str(value) for name, value in vars(row).items()} for row in found]
                 if options.output:
-                    append(options.output, found)
+                    append_rows(options.output, map(vars, found))
     report(rows)
 
 

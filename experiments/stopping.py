@@ -14,7 +14,6 @@ becomes a session WORLD-STEPS with fingerprints, for identification.py.
 from __future__ import annotations
 
 import argparse
-import csv
 import shutil
 from pathlib import Path
 from typing import Any, Dict, List
@@ -33,14 +32,14 @@ from embodied_active_learning.objects.stability import StoppingCriterion
 from embodied_active_learning.pipeline.stopping import CHECK_EVERY, measure
 from embodied_active_learning.session.fingerprints import has_fingerprints
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.session.tensor_files import read_tensors
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world, write_world
 from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
 SHOWN = (300, 600, 1000, 3000)  # steps after which objects are shown
 KINDS = 6  # procedural objects to draw from, beside the shipped ones
-CHECKS = "world steps objects undiscovered drift stable_checks contrast latent_contribution coverage stopped"
-OBJECTS = "world rule steps true found matched right error_cm"
 
 
 def world_file(root: Path, count: int, seed: int, reserved: bool) -> Path:
@@ -97,7 +96,7 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
         check = criterion.add(measure(config, model, evaluation, float(training["coverage"][update - 1]), stored))
         if check.stopped and not any(row["rule"] == "stable" for row in rows["objects"]):
             rules.append("stable")
-        parts = {name: round(float(getattr(check, name)), 4) for name in CHECKS.split()[2:]}
+        parts = {name: round(float(getattr(check, name)), 4) for name in COLUMNS["stopping"][2:]}
         rows["checks"].append({"world": session.name, "steps": steps, **parts})
         count = evaluation.observations
         for rule in rules:
@@ -150,24 +149,6 @@ def compare(found: np.ndarray, truth: np.ndarray) -> Dict[str, Any]:
     return {"true": len(truth), "found": len(found), "matched": len(errors), "right": int(right), "error_cm": error}
 
 
-def read_rows(path: Path) -> List[Dict[str, str]]:
-    """Return the rows of a table; none if it does not exist."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as stream:
-        return list(csv.DictReader(stream))
-
-
-def append_rows(path: Path, columns: str, rows: List[Dict[str, Any]]) -> None:
-    """Append rows to a table, with a header if it is new."""
-    is_new = not path.exists()
-    with path.open("a", newline="") as stream:
-        writer = csv.DictWriter(stream, columns.split())
-        if is_new:
-            writer.writeheader()
-        writer.writerows(rows)
-
-
 def main() -> None:
     """Learn and evaluate the worlds that are not in the tables yet."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -182,15 +163,14 @@ def main() -> None:
     options = parser.parse_args()
     root, results = options.root.expanduser(), options.results
     root.mkdir(parents=True, exist_ok=True)
-    results.mkdir(parents=True, exist_ok=True)
     for name in options.worlds:
         count, seed = map(int, name.split("-"))
         world = world_file(root, count, seed, options.reserved)
-        if not any(row["world"] == world.stem for row in read_rows(results / "stopping_checks.csv")):
+        if not any(row["world"] == world.stem for row in read_rows(results / "stopping_checks.csv", missing_ok=True)):
             session = learn(world, root, options.steps, options.stop)
             rows = evaluate(session)
-            append_rows(results / "stopping_objects.csv", OBJECTS, rows["objects"])
-            append_rows(results / "stopping_checks.csv", CHECKS, rows["checks"])
+            append_rows(results / "stopping_objects.csv", rows["objects"])
+            append_rows(results / "stopping_checks.csv", rows["checks"])
             for row in rows["objects"]:
                 print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
             if not (options.keep or options.fingerprint):

@@ -11,7 +11,6 @@ experiments/results/trainers/quality.csv and kills.csv; quality skips rows that 
 from __future__ import annotations
 
 import argparse
-import csv
 import multiprocessing
 import os
 import random
@@ -21,7 +20,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any, Dict
 
 import numpy as np
 import torch
@@ -34,31 +33,9 @@ from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.pipeline.learning import BackgroundTraining
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
 RESULTS = Path(__file__).resolve().parent / "results" / "trainers"
-QUALITY = ("trainers", "updates_per_round", "seed", "updates", "loss", "mse_own", "mse_none", "active_units", "objects",
-           "seconds", "cpu_seconds", "computing")  # fmt: skip
-KILLS = ("seed", "kills", "freezes", "observations", "lost", "intact", "updates", "planned", "rows_in_order", "rounds",
-         "with_all_trainers", "longest_round", "seconds")  # fmt: skip
-
-
-def append(path: Path, columns: Any, row: Dict[str, Any]) -> None:
-    """Append a row to a CSV file, and print it."""
-    new = not path.exists()
-    with path.open("a", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, columns)
-        if new:
-            writer.writeheader()
-        writer.writerow({key: f"{value:.5g}" if isinstance(value, float) else value for key, value in row.items()})
-    print(row, flush=True)
-
-
-def rows(path: Path) -> List[Dict[str, str]]:
-    """Return the rows of a CSV file; none if it does not exist."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
 
 
 def cpu_seconds() -> float:
@@ -119,12 +96,12 @@ def measure_quality(stored: Session, steps: int, trainers: int, updates_per_roun
 def quality(options: argparse.Namespace) -> None:
     """Measure all combinations that are not in the table yet."""
     path, stored = options.output or RESULTS / "quality.csv", eal.load_session(options.session)
-    done = {(row["trainers"], row["updates_per_round"], row["seed"]) for row in rows(path)}
+    done = {(row["trainers"], row["updates_per_round"], row["seed"]) for row in read_rows(path, missing_ok=True)}
     for seed in options.seeds:
         for trainers in options.trainers:
             for updates in options.rounds if trainers > 1 else [0]:
                 if (str(trainers), str(updates), str(seed)) not in done:
-                    append(path, QUALITY, measure_quality(stored, options.steps, trainers, max(1, updates), seed))
+                    store(path, measure_quality(stored, options.steps, trainers, max(1, updates), seed))
 
 
 class RandomFaults:
@@ -235,9 +212,18 @@ def measure_kills(seed: int, limit: int) -> Dict[str, Any]:
 def kills(options: argparse.Namespace) -> None:
     """Measure runs until the table has the wanted number of kills."""
     path = options.output or RESULTS / "kills.csv"
-    while sum(int(row["kills"]) for row in rows(path)) < options.kills:
-        made = rows(path)
-        append(path, KILLS, measure_kills(1 + len(made), options.kills - sum(int(row["kills"]) for row in made)))
+    while True:
+        made = read_rows(path, missing_ok=True)
+        left = options.kills - sum(int(row["kills"]) for row in made)
+        if left <= 0:
+            return
+        store(path, measure_kills(1 + len(made), left))
+
+
+def store(path: Path, row: Dict[str, Any]) -> None:
+    """Append a row to a CSV file, and print it."""
+    append_rows(path, [row])
+    print(row, flush=True)
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from typing import Any, Dict, List
 import numpy as np
 import torch
 from torch import distributed
-from trainers import append
+from trainers import store
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.model.learner import Learner
@@ -40,7 +40,6 @@ from hosts import Hosts, connected_hosts, why_not
 TRAINERS = 4
 OBSERVATIONS = 16
 ADDRESSES = {f"trainer{number}": f"10.77.0.{number + 1}" for number in range(TRAINERS)}
-COLUMNS = ("rate", "averaging", "updates_per_round", "rounds", "seconds", "computing", "transfers")
 TIMEOUT = 600.0  # s
 
 
@@ -175,7 +174,7 @@ def main() -> None:
         with connected_hosts(ADDRESSES) as hosts:
             hosts.limit(rate)
             for updates in options.updates:
-                append(options.output, COLUMNS, {"rate": rate, **measure(hosts, updates, options.count)})
+                store(options.output, {"rate": rate, **measure(hosts, updates, options.count)})
 
 
 if __name__ == "__main__":

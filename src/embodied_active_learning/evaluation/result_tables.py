@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Callable, Iterable, List, Mapping, Optional, Sequence
+from typing import Callable, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
+from scipy.stats import beta
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.figures.curves import Curve
@@ -86,6 +87,13 @@ def interval(values: Sequence[float]) -> str:
     mean = bootstrap_mean(np.array(values)[:, np.newaxis])
     text = f"{mean.mean[0]:.3g}"
     return text if len(values) == 1 else f"{text} ({mean.low[0]:.3g} to {mean.high[0]:.3g})"
+
+
+def binomial_interval(successes: int, tests: int) -> Tuple[float, float]:
+    """Return the exact 95 % interval (Clopper and Pearson) of a share, for independent tests."""
+    low = float(beta.ppf(0.025, successes, tests - successes + 1)) if successes else 0.0
+    high = float(beta.ppf(0.975, successes + 1, tests - successes)) if successes < tests else 1.0
+    return low, high
 
 
 def mean_table(rows: Rows, group: str, column: str, value: str) -> List[str]:

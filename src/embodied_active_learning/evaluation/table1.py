@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
 
-from scipy.stats import beta
-
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.evaluation.result_tables import binomial_interval
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
@@ -117,8 +116,7 @@ def _fraction(rows: Sequence[Mapping[str, str]], percent: bool = False) -> str:
     hits, tests = (sum(int(row[name]) for row in rows) for name in ("hits", "tests"))
     if not percent or not tests:
         return f"{hits}/{tests}"
-    low = beta.ppf(0.025, hits, tests - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, tests - hits) if hits < tests else 1.0
+    low, high = binomial_interval(hits, tests)
     return f"{hits}/{tests} ({100.0 * hits / tests:.0f} %, {100.0 * low:.0f}-{100.0 * high:.0f})"
 
 
