@@ -4,7 +4,7 @@
     source setup.bash
     python3 -m embodied_active_learning.sweep experiments/ablations.yaml
     python3 -m embodied_active_learning.sweep experiments/identification_images.yaml
-    python3 experiments/ablation_models.py SWEEPS/ablations SWEEPS/identification_images/even-star_plant_duck-seed100
+    python3 experiments/ablation_models.py SWEEPS/ablations SWEEPS/identification_images/even-star-plant-duck-seed100
 
 A run evaluates its model on its own observations, which differ between explorers. Here the views are drawn
 independently from the whole workspace; those within 6 cm of an object are also averaged separately. Rows are written to

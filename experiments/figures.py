@@ -17,6 +17,7 @@ from embodied_active_learning.evaluation.result_tables import (
     final_ergodic_measure,
     first_below,
     group_table,
+    interval,
     last_value,
     markdown,
     mean_table,
@@ -51,7 +52,7 @@ MEASURES = {
 def main() -> None:
     """Draw everything of which there are results."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    for draw in (coverage, ergodicity, table1, pac_bayes):
+    for draw in (coverage, ergodicity, table1, pac_bayes, ablation_models):
         if (RESULTS / draw.__name__).is_dir():
             draw()
     for draw_runs in (learning_metrics, ablations, curated_objects):
@@ -77,6 +78,28 @@ def ablations(records: List[Record]) -> List[str]:
     axes = {name: "step" if table == "exploration" else "update" for name, table in wanted.items()}
     draw_curves(IMAGES / "ablations.png", panels, axes)
     return ["", *group_table(groups, MEASURES), "", *run_table(records)]
+
+
+def ablation_models() -> None:
+    """List the errors of the ablations' models on common views, and the successes of their fingerprints."""
+    rows = read_rows(RESULTS / "ablation_models" / "ablation_models.csv")
+    groups: Dict[str, List[Dict[str, str]]] = {}
+    for row in rows:
+        groups.setdefault(row["model"].rsplit("-", 2)[0], []).append(row)  # VARIANT-WORLD-seedN
+    errors = ("error_everywhere", "error_near_objects")
+    shares = (("kinds_learned", "kinds"), ("ranked_hits", "ranked_tests"), ("decided_hits", "decided_tests"))
+    lines = [
+        [
+            name,
+            len(members),
+            *(interval([float(row[error]) for row in members]) for error in errors),
+            *("/".join(str(sum(int(row[part]) for row in members)) for part in share) for share in shares),
+        ]
+        for name, members in groups.items()
+    ]
+    header = ("variant", "models", "error everywhere", "error near objects", "kinds with fingerprints",
+              "found, ranked", "found, decided")  # fmt: skip
+    replace_block(PAGE, "ablation_models", markdown(header, lines))
 
 
 def curated_objects(records: List[Record]) -> List[str]:

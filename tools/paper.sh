@@ -10,6 +10,7 @@ python3 -m embodied_active_learning.sweep experiments/ablations.yaml --root "$sw
 python3 -m embodied_active_learning.sweep experiments/curated_objects.yaml --root "$sweeps" "$@"
 python3 -m embodied_active_learning.sweep experiments/identification_images.yaml --root "$sweeps" "$@"
 python3 experiments/table1.py "$sweeps/learning_metrics" "$sweeps/identification_images"
+python3 experiments/ablation_models.py "$sweeps/ablations" "$sweeps/identification_images/even-star-plant-duck-seed100"
 OPENBLAS_NUM_THREADS=1 python3 experiments/coverage_benchmark.py
 python3 experiments/ergodicity.py "$sweeps/learning_metrics/ergodic-diagonal-seed1"
 python3 experiments/pac_bayes.py "$sweeps/learning_metrics/ergodic-diagonal-seed1"

@@ -28,8 +28,9 @@ ROWS = [
 
 def test_interval_of_values():
     assert interval([]) == "-"
-    assert interval([0.12345]) == "0.123"
+    assert interval([0.12345]) == interval([0.12345, 0.12345]) == "0.123"
     assert interval([1.0, 3.0]) == "2 (1 to 3)"
+    assert interval([1234.5]) == "1234"
 
 
 def test_mean_table_has_a_line_for_each_group():
@@ -74,6 +75,6 @@ def test_page_has_the_blocks_of_all_results():
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     assert [
         name
-        for name in ("learning_metrics", "ablations", "curated_objects", "coverage")
+        for name in ("learning_metrics", "ablations", "ablation_models", "curated_objects", "coverage")
         if f"<!-- {name} -->" not in text
     ] == []

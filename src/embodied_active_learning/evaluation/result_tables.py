@@ -81,12 +81,12 @@ def final_ergodic_measure(record: Record) -> Optional[float]:
 
 
 def interval(values: Sequence[float]) -> str:
-    """Return "mean (low to high)" with a bootstrap interval; only the mean of one value, and a dash of none."""
+    """Return "mean (low to high)" with a bootstrap interval; only the mean of equal values, and a dash of none."""
     if not values:
         return "-"
     mean = bootstrap_mean(np.array(values)[:, np.newaxis])
-    text = f"{mean.mean[0]:.3g}"
-    return text if len(values) == 1 else f"{text} ({mean.low[0]:.3g} to {mean.high[0]:.3g})"
+    text = _digits(mean.mean[0])
+    return text if min(values) == max(values) else f"{text} ({_digits(mean.low[0])} to {_digits(mean.high[0])})"
 
 
 def binomial_interval(successes: int, tests: int) -> Tuple[float, float]:
@@ -169,4 +169,9 @@ def _or_dash(value: Optional[float]) -> object:
 
 
 def _text(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return _digits(value) if isinstance(value, float) else str(value)
+
+
+def _digits(value: float) -> str:
+    """Return three digits, without an exponent for large numbers."""
+    return f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
