@@ -1,0 +1,86 @@
+"""Launch files refuse to replace the parameters of running nodes: roslaunch sets parameters before it starts nodes."""
+
+from contextlib import suppress
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+from roslaunch.config import ROSLaunchConfig
+from roslaunch.xmlloader import XmlLoader, XmlParseException
+
+from launching import ROOT
+from threads import in_a_thread
+
+
+class Master(SimpleXMLRPCServer):
+    """A ROS master that knows some nodes, and is the server of each of them."""
+
+    def __init__(self):
+        super().__init__(("localhost", 0), logRequests=False)
+        self.uri = f"http://localhost:{self.server_address[1]}"
+        self.running = set()
+        self.requested = set()
+        self.register_function(self._look_up, "lookupNode")
+        self.register_function(lambda caller: (1, "", 7), "getPid")
+        self.register_function(lambda caller, name: (-1, "not set", 0), "getParam")
+
+    def _look_up(self, caller, name):
+        self.requested.add(name)
+        return (1, "", self.uri) if name in self.running else (-1, "unknown node", "")
+
+
+@pytest.fixture
+def master(monkeypatch):
+    with Master() as master:
+        monkeypatch.setenv("ROS_MASTER_URI", master.uri)
+        thread = in_a_thread(master.serve_forever)
+        yield master
+        master.shutdown()
+        thread.join()
+
+
+def load(name, **arguments):
+    path = ROOT / "launch" / f"{name}.launch"
+    words = [f"{key}:={value}" for key, value in arguments.items()]
+    XmlLoader().load(str(path), ROSLaunchConfig(), argv=words, verbose=False)
+
+
+SYSTEM = {"/trainer", "/ergodic_planner", "/fingerprinter"}
+LEARNING = SYSTEM | {"/monitor", "/recorder"}
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "names"),
+    [
+        ("learn", {}, {*LEARNING, "/pybullet_arm"}),
+        ("learn", {"robot": "velocity_service"}, {*LEARNING, "/velocity_service_arm", "/camera_pipeline"}),
+        ("fingerprint", {"session": "a"}, {*SYSTEM, "/identifier", "/pybullet_arm"}),
+        ("fingerprint", {"session": "a", "views_from": "stored"}, {*SYSTEM, "/identifier"}),
+        ("identify", {"once": "false"}, {*SYSTEM, "/identifier", "/recorder", "/pybullet_arm"}),
+        ("identify", {"sessions": "a", "replay": "b"}, {"/identifier"}),
+        (
+            "replay",
+            {"bag": "nowhere.bag"},
+            {*SYSTEM, "/replay", "/monitor", "/identifier", "/pybullet_arm", "/franka_arm", "/velocity_service_arm"},
+        ),
+    ],
+)
+def test_launch_requires_unused_names(master, tmp_path, name, arguments, names):
+    """All of them, also if the launch is refused for another reason afterwards."""
+    with suppress(XmlParseException):
+        load(name, session_root=tmp_path, **arguments)
+    assert master.requested == names
+
+
+@pytest.mark.parametrize("node", ["/franka_arm", "/ergodic_planner"])
+def test_replay_is_refused_beside_a_running_system(master, capfd, node):
+    master.running.add(node)
+    with pytest.raises(XmlParseException):
+        load("replay", bag=ROOT / "bags" / "diagonal-small.bag")
+    assert f"node {node} is already running" in capfd.readouterr().err
+
+
+def test_fingerprinting_is_refused_beside_an_identification(master, capfd):
+    master.running.add("/identifier")
+    with pytest.raises(XmlParseException):
+        load("fingerprint", session="a", views_from="stored")
+    assert "node /identifier is already running" in capfd.readouterr().err
