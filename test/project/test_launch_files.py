@@ -41,6 +41,23 @@ def test_roslaunch_lists_only_required_arguments_as_required(name, required):
         assert [argument for argument, (doc, _) in arguments.items() if not doc] == []
 
 
+@pytest.mark.parametrize("path", LAUNCH, ids=lambda path: path.stem)
+def test_nodes_do_not_keep_parameters_of_earlier_launches(path):
+    """Such as ~once of fingerprint.launch, with which the fingerprinter of learn.launch would end the run."""
+    for node in ElementTree.parse(path).getroot().iter("node"):
+        if node.find("param") is not None or node.find("rosparam") is not None:
+            assert node.get("clear_params") == "true", f"{path.name}: node {node.get('name')}"
+
+
+def test_learn_launch_clears_private_parameters(tmp_path):
+    config = ROSLaunchConfig()
+    path = next(path for path in LAUNCH if path.stem == "learn")
+    XmlLoader().load(str(path), config, argv=[f"session_root:={tmp_path}"], verbose=False)
+    private = {f"/{node.name}/" for node in config.nodes if any(f"/{node.name}/" in name for name in config.params)}
+    assert private == {"/pybullet_arm/", "/ergodic_planner/", "/fingerprinter/", "/monitor/"}
+    assert private <= set(config.clear_params)
+
+
 @pytest.fixture
 def lab(tmp_path):
     """An environment with stubs of the packages of a real arm that the launch files refer to."""
