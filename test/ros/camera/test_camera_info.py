@@ -165,3 +165,21 @@ def test_new_calibration_replaces_the_old_one():
     _, info = converter.convert(message)
     assert converter.calibration.rectification is not None
     assert field_of_view(camera_matrix(info), 180) == pytest.approx(30.0)
+
+
+def test_picture_converted_while_calibration_changes():
+    """The next picture uses the new calibration, whenever another thread converted the last one."""
+
+    class ConverterWithThread(ImageConverter):
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            if value and name in ("_info", "_outdated") and vars(self).get("calibration"):
+                self.convert(message)
+
+    message = Image(height=360, width=640, encoding="rgb8", step=3 * 640, data=bytes(3 * 640 * 360))
+    converter = ConverterWithThread(CAMERA)
+    converter.set_info(calibration(degrees=27.0))
+    converter.convert(message)
+    converter.set_info(calibration(degrees=33.0))
+    converter.convert(message)
+    assert converter.calibration.rectification is not None

@@ -35,9 +35,10 @@ class ImageConverter:
 
     def set_info(self, info: CameraInfo) -> None:
         """Store the driver's camera_info."""
-        if self._info is None or _parameters(info) != _parameters(self._info):
-            self._outdated = True
+        changed = self._info is None or _parameters(info) != _parameters(self._info)
         self._info = info
+        if changed:
+            self._outdated = True  # after the info: another thread may convert a picture in between
 
     def convert(self, picture: Picture) -> Tuple[Image, CameraInfo]:
         """Return image and camera_info with the picture's stamp. Raises ObservationError for an unusable picture."""
@@ -63,7 +64,7 @@ class ImageConverter:
 
     def _calibrate(self, framing: Framing) -> ImageCalibration:
         if self.calibration is None or self._outdated or framing != self._framing:
-            self._outdated, self._framing = False, framing
+            self._outdated, self._framing = False, framing  # before the info is read, which may change meanwhile
             self.calibration = image_calibration(self._info, framing, self._camera)
         return self.calibration
 
