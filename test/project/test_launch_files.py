@@ -159,6 +159,25 @@ def test_visits_without_an_arm_are_refused():
         XmlLoader().load(str(path), ROSLaunchConfig(), argv=["replay:=a", "visit:=true"], verbose=False)
 
 
+@pytest.mark.parametrize("replay", ["unset", "007"])
+def test_identify_launch_keeps_names_of_digits(monkeypatch, replay):
+    commands = []
+
+    def param_value(loader, verbose, name, kind, value, textfile, binfile, command):
+        commands.append(command or "")
+        return read(loader, verbose, name, kind, value, textfile, binfile, None) if command is None else {}
+
+    read = XmlLoader.param_value
+    monkeypatch.setattr(XmlLoader, "param_value", param_value)
+    config = ROSLaunchConfig()
+    path = next(path for path in LAUNCH if path.stem == "identify")
+    arguments = ["sessions:=20261102", "name:=0815", f"replay:={replay}"]
+    XmlLoader().load(str(path), config, argv=arguments, verbose=False)
+    values = [config.params[f"/identifier/{name}"].value for name in ("sessions", "name", "replay")]
+    assert values == ["20261102", "0815", replay]
+    assert sum('--search "20261102"' in command for command in commands) == 1
+
+
 @pytest.mark.parametrize("bringup", ["all", "nodes"])
 def test_velocity_service_starts_its_adapter_and_no_driver(bringup):
     config = ROSLaunchConfig()
