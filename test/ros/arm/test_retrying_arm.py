@@ -475,6 +475,53 @@ def test_command_is_repeated_after_simulation_restart(simulated):
     assert not retrying.was_held
 
 
+@pytest.mark.parametrize("act", [lambda arm: arm.execute(FORWARD), lambda arm: arm.go_to((0.4, 0.1, 1.0))])
+def test_timeout_ends_wait_for_dead_simulation(simulated, act):
+    retrying = retrying_arm.RetryingArm(Config(), timeout=0.0)
+    retrying.execute(FORWARD)
+    simulated.is_dead = True
+    with pytest.raises(NoResponseError, match="no response"):
+        act(retrying)
+    assert retrying.error == "", "nothing is retried any more"
+    assert not retrying.was_held
+
+
+def test_timeout_of_observe_ends_wait_for_dead_simulation(simulated, camera):
+    retrying = retrying_arm.RetryingArm(Config(), timeout=0.0)
+    reached = retrying.execute(FORWARD)
+    simulated.is_dead = True
+    camera.failures = [ObservationError("no image")]
+    with pytest.raises(NoResponseError, match="no response"):
+        retrying.observe(reached)
+
+
+def test_cancel_ends_wait_for_dead_simulation(simulated):
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    simulated.is_dead = True
+
+    def cancel():
+        wait_for(lambda: len(simulated.calls) > 3)
+        retrying.cancel()
+
+    cancelling = in_a_thread(cancel)
+    with pytest.raises(NoResponseError, match="no response"):
+        retrying.go_to((0.4, 0.1, 1.0))
+    cancelling.join(10.0)
+    assert retrying.error == "", "nothing is retried any more"
+
+
+def test_simulation_is_restored_after_timeout(simulated):
+    retrying = retrying_arm.RetryingArm(Config(), timeout=0.0)
+    retrying.execute(FORWARD)
+    simulated.is_dead = True
+    with pytest.raises(NoResponseError):
+        retrying.execute(FORWARD)
+    simulated.restart()
+    retrying.execute(FORWARD)
+    assert kinds(simulated)[-2:] == [("restore", 1.0), "move"]
+
+
 def test_response_of_restarted_simulation_is_discarded(simulated, camera):
     retrying = retrying_arm.RetryingArm(Config())
     for _ in range(3):

@@ -23,7 +23,6 @@ from embodied_active_learning.errors import (
 )
 from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
 from embodied_active_learning.msg import PlanarState
-from embodied_active_learning.ros.arm import retry
 from embodied_active_learning.ros.arm.client import ArmClient
 from embodied_active_learning.ros.arm.lease import Lease
 from embodied_active_learning.ros.arm.retry import RetryPolicy
@@ -146,6 +145,7 @@ class RetryingArm:
                     restored = True
                     continue
                 self._wait_for_retry(error)
+                self._was_held = True
                 reached = self._execute(self._hold, self._hold)
         self._error = ""
         return observation
@@ -234,7 +234,7 @@ class RetryingArm:
         """Carry out a command; after a failure or a pause carry out the fallback until it succeeds.
 
         Without a fallback the command itself is retried, unless it is rejected. A simulated arm that does not respond
-        is waited for and restored, after which the command itself is retried.
+        is waited for until the timeout and restored, after which the command itself is retried.
         """
         while True:
             if self.wait_while_paused():
@@ -247,13 +247,12 @@ class RetryingArm:
             except CommandError as error:
                 if self._is_restorable and isinstance(error, NoResponseError):
                     self._unanswered = True
-                    self._report(str(error))
-                    wall_sleep(retry.RETRY_PERIOD)
+                    self._wait_for_retry(error)
                 elif fallback is None and type(error) is CommandError:
                     raise
                 else:
                     self._wait_for_retry(error)
-                    command = fallback or command
+                    command, self._was_held = fallback or command, True
             else:
                 if command is not self._hold:
                     self._retry.reset()
@@ -360,7 +359,6 @@ class RetryingArm:
         except EmbodiedActiveLearningError:
             self._error = ""
             raise
-        self._was_held = True
         self._report(due.message)
         wall_sleep(due.pause)
 
