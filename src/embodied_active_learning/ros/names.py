@@ -81,6 +81,8 @@ ARM_CONFIG_PARAMETER = "franka_arm/config"
 FAILURE_PARAMETER = "failure"
 # Where trainer workers join, "host:port".
 TRAINER_ADDRESS = "trainer/address"
+# The planner's PAUSED_BY, as other nodes read it.
+PLANNER_PAUSED_BY = "ergodic_planner/paused_by"
 # Persistent parameters: state of a node across its restarts; launch files clear them.
 STOPPED_BY = "~stopped_by"
 PAUSED_BY = "~paused_by"

@@ -18,6 +18,7 @@ class Planner:
         self.requests = PauseRequests()
         self.failing_calls = 0
         self.stored = None
+        self.waits = []
 
     @property
     def is_paused(self):
@@ -28,10 +29,16 @@ class Planner:
             return None
         if self.failing_calls:
             self.failing_calls -= 1
+            self.requests = PauseRequests(self.requests.text)  # it has restarted
             raise EmbodiedActiveLearningError(f"{name} did not respond")
         change = self.requests.add if name == names.PLANNER_PAUSE else self.requests.release
         change("/fingerprinter")
         return TriggerResponse(True, "")
+
+    def load(self, name):
+        if name == names.PLANNER_PAUSED_BY:
+            return self.requests.text
+        return self.stored() if self.stored else ""
 
 
 @pytest.fixture
@@ -39,8 +46,10 @@ def planner(monkeypatch):
     planner = Planner()
     monkeypatch.setattr(pause, "trigger_if_advertised", planner.trigger)
     monkeypatch.setattr(pause, "is_advertised", lambda name: planner.exists)
-    monkeypatch.setattr(pause.persistent_parameters, "load", lambda name: planner.stored() if planner.stored else "")
+    monkeypatch.setattr(pause.persistent_parameters, "load", planner.load)
     monkeypatch.setattr(pause.persistent_parameters, "store", lambda name, text: setattr(planner, "stored", text))
+    monkeypatch.setattr(pause, "wall_sleep", planner.waits.append)
+    monkeypatch.setattr(pause.rospy, "get_name", lambda: "/fingerprinter")
     return planner
 
 
@@ -72,6 +81,37 @@ def test_pause_without_planner_does_nothing(planner):
 def test_resume_retried_if_planner_does_not_respond(planner):
     with PlannerPause().paused():
         planner.failing_calls = 2
+    assert not planner.is_paused
+    assert len(planner.waits) == 2, "one before each retry"
+
+
+def test_pause_without_response_is_ended(planner):
+    """As if the planner had crashed before its response, but after it stored the request."""
+    planner.requests.add("/fingerprinter")
+    planner.requests.add("/rosservice_1")
+    planner.failing_calls = 3
+    with pytest.raises(EmbodiedActiveLearningError, match="did not respond"), PlannerPause().paused():
+        pytest.fail("the planner is not paused")
+    assert planner.requests.text == "/rosservice_1"
+    assert planner.stored() == ""
+
+
+def test_lost_pause_keeps_pauses_of_others(planner):
+    planner.requests.add("/rosservice_1")
+    planner.failing_calls = 1
+    with pytest.raises(EmbodiedActiveLearningError), PlannerPause().paused():
+        pytest.fail("the planner is not paused")
+    assert planner.requests.text == "/rosservice_1"
+
+
+def test_unended_pause_is_left_to_the_next_process(planner):
+    planner.requests.add("/fingerprinter")
+    planner.failing_calls = 10**4
+    with pytest.raises(EmbodiedActiveLearningError), PlannerPause().paused():
+        pytest.fail("the planner is not paused")
+    assert planner.stored() != ""
+    planner.failing_calls = 0
+    PlannerPause().resume_if_left()
     assert not planner.is_paused
 
 

@@ -10,10 +10,12 @@ import rospy
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime import persistent_parameters
-from embodied_active_learning.ros.runtime.node import wait_until
+from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 from embodied_active_learning.ros.runtime.services import is_advertised, trigger_if_advertised
 
-_RESUME_ATTEMPTS = 3
+_RESUME_ATTEMPTS = 15
+_RESUME_PERIOD = 1.0
+"""Wall seconds between two attempts; all of them outlast a restart of the planner."""
 _PAUSED = "paused"
 
 
@@ -39,7 +41,11 @@ class PlannerPause:
         Raises:
             EmbodiedActiveLearningError: There is a planner, but it does not respond.
         """
-        response = trigger_if_advertised(names.PLANNER_PAUSE)
+        try:
+            response = trigger_if_advertised(names.PLANNER_PAUSE)
+        except EmbodiedActiveLearningError:
+            self._resume_after_lost_response()
+            raise
         self._has_paused = self._has_paused or (response is not None and response.success)
         try:
             yield
@@ -47,8 +53,18 @@ class PlannerPause:
             if self._has_paused:
                 self._resume()
 
+    def _resume_after_lost_response(self) -> None:
+        """End a pause without response: the planner stores the request first, and restores it if it restarts."""
+        wall_sleep(_RESUME_PERIOD)  # until the request is stored
+        requests = persistent_parameters.load(names.PLANNER_PAUSED_BY).split()
+        if rospy.get_name() in requests:  # else the planner would end the pauses of all others
+            self._has_paused = True
+            self._resume()
+
     def _resume(self) -> None:
-        for _ in range(_RESUME_ATTEMPTS):
+        for attempt in range(_RESUME_ATTEMPTS):
+            if attempt:
+                wall_sleep(_RESUME_PERIOD)
             try:
                 trigger_if_advertised(names.PLANNER_RESUME)
                 self._has_paused = False

@@ -46,7 +46,7 @@ PARAMETERS = (
     "pybullet_arm/stopped_by",
     "franka_arm/stopped_by",
     "velocity_service_arm/stopped_by",
-    "ergodic_planner/paused_by",
+    names.PLANNER_PAUSED_BY,
     "fingerprinter/has_paused_planner",
 )
 """Persistent parameters, which launch files clear."""
