@@ -16,6 +16,7 @@ from embodied_active_learning.config import (
     REAL_ROBOTS,
     RECORDED,
     SIMULATED,
+    VELOCITY_SERVICE,
     Config,
     find_profile,
     load_profile,
@@ -35,6 +36,7 @@ from embodied_active_learning.simulation.resources import PACKAGE, package_folde
 _COMMON_PACKAGES = dict.fromkeys(("torch", "cv2", "pybullet", "tf2_ros"), "make install")
 PACKAGES = {
     SIMULATED: _COMMON_PACKAGES,
+    VELOCITY_SERVICE: _COMMON_PACKAGES,
     FRANKA: {
         **_COMMON_PACKAGES,
         "actionlib": "apt-get install ros-noetic-actionlib",
@@ -129,7 +131,8 @@ def find_config(robot_profile: str, has_master: bool) -> Tuple[Config, List[Chec
     folder = package_folder(PACKAGE) / "config"
     profile = load_profile(find_profile("default", folder))
     if robot_profile:
-        profile = merge(merge(profile, load_profile(find_profile(robot_profile, folder))), {"arm": {"robot": FRANKA}})
+        profile = merge(profile, {"arm": {"robot": FRANKA}})  # unless the robot profile names another robot
+        profile = merge(profile, load_profile(find_profile(robot_profile, folder)))
     state = "is not set" if system_config is None else "belongs to a replay, which has no arm"
     result = error(
         "configuration",

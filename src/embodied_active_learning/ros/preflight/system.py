@@ -50,12 +50,13 @@ PARAMETERS = (
     "fingerprinter/has_paused_planner",
 )
 """Persistent parameters, which launch files clear."""
-_SERVICE_TIMEOUT = 3.0  # s of wall time
-_START = {
+START = {
     SIMULATED: "roslaunch embodied_active_learning learn.launch stay:=true",
     FRANKA: "roslaunch embodied_active_learning robot.launch robot_ip:=...",
     VELOCITY_SERVICE: "roslaunch embodied_active_learning learn.launch robot:=velocity_service stay:=true",
 }
+"""How to start the arm of each robot, for remedies."""
+_SERVICE_TIMEOUT = 3.0  # s of wall time
 
 
 class System:
@@ -65,7 +66,7 @@ class System:
         """Observe topics and tf for `seconds` of wall time; less for a simulated arm, which may rest."""
         self._config = config
         self._real = config.arm.robot in REAL_ROBOTS
-        self._start = _START.get(config.arm.robot, _START[SIMULATED])
+        self._start = START.get(config.arm.robot, START[SIMULATED])
         self._graph = read_graph()
         self._topics = {key: TopicMonitor(*topic, self._graph) for key, topic in self._topic_types().items()}
         self._tf = TfMonitor()
