@@ -129,6 +129,22 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
     assert not config.params["/use_sim_time"].value
 
 
+NOT_ON_TWO_MACHINES = {"world", "local_workers"}
+"""Arguments of learn.launch for a simulated arm, or with the right default for a server."""
+
+
+def test_two_machines_pass_all_arguments_of_learn_launch():
+    learn = next(path for path in LAUNCH if path.stem == "learn")
+    declared = {item.get("name") for item in ElementTree.parse(learn).getroot().findall("arg") if not item.get("value")}
+    path = next(path for path in LAUNCH if path.stem == "two_machines")
+    includes = {include.get("file"): include for include in ElementTree.parse(path).getroot().iter("include")}
+    include = includes["$(find embodied_active_learning)/launch/learn.launch"]
+    passed = {item.get("name") for item in include.findall("arg")}
+    at_robot = includes["$(find embodied_active_learning)/launch/arm.launch"]
+    passed |= {item.get("name") for item in at_robot.findall("arg")}
+    assert declared - passed == NOT_ON_TWO_MACHINES
+
+
 @pytest.mark.parametrize(("paused", "expected"), [("true", "/operator"), ("false", "")])
 def test_paused_planner_waits_for_an_operator(tmp_path, paused, expected):
     path = next(path for path in LAUNCH if path.stem == "learn")
@@ -137,20 +153,26 @@ def test_paused_planner_waits_for_an_operator(tmp_path, paused, expected):
     assert config.params["/ergodic_planner/paused_by"].value == expected
 
 
+NAMES_AND_PATHS = {
+    "learn": ("profile", "world", "session", "session_root", "robot_profile"),
+    "fingerprint": ("profile", "session", "session_root", "robot_profile"),
+    "identify": ("sessions", "replay", "world", "profile", "name", "session", "session_root", "robot_profile"),
+    "replay": ("bag", "profile", "namespace", "session", "session_root"),
+    "robot": ("profile", "robot_profile"),
+}
+
+
 @pytest.mark.parametrize(
-    ("name", "argument"),
-    [
-        ("learn", "world"),
-        ("fingerprint", "session"),
-        ("identify", "replay"),
-        ("replay", "bag"),
-        ("robot", "robot_profile"),
-    ],
+    ("name", "argument"), [(name, argument) for name, arguments in NAMES_AND_PATHS.items() for argument in arguments]
 )
 def test_double_quotes_are_refused(name, argument):
+    """Also beside a name of digits, which roslaunch evaluates as a number."""
     path = next(path for path in LAUNCH if path.stem == name)
+    arguments = {"session": "7", "profile": "7", argument: 'a"b'}
     with pytest.raises(XmlParseException, match="double quotes are not allowed"):
-        XmlLoader().load(str(path), ROSLaunchConfig(), argv=["session:=a", f'{argument}:=a"b'], verbose=False)
+        XmlLoader().load(
+            str(path), ROSLaunchConfig(), argv=[f"{key}:={value}" for key, value in arguments.items()], verbose=False
+        )
 
 
 def test_visits_without_an_arm_are_refused():
