@@ -54,7 +54,7 @@ def test_learn_launch_clears_private_parameters(tmp_path):
     path = next(path for path in LAUNCH if path.stem == "learn")
     XmlLoader().load(str(path), config, argv=[f"session_root:={tmp_path}"], verbose=False)
     private = {f"/{node.name}/" for node in config.nodes if any(f"/{node.name}/" in name for name in config.params)}
-    assert private == {"/pybullet_arm/", "/ergodic_planner/", "/fingerprinter/", "/monitor/"}
+    assert private == {"/pybullet_arm/", "/trainer/", "/ergodic_planner/", "/fingerprinter/", "/monitor/"}
     assert private <= set(config.clear_params)
 
 
