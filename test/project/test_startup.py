@@ -26,6 +26,12 @@ def test_nodes_import_startup_first_and_use_run_node(path):
     assert lines[-1].startswith("    run_node(")
 
 
+@pytest.mark.parametrize("path", NODES, ids=lambda path: path.name)
+def test_nodes_have_at_most_150_lines(path):
+    """What can be tested without a master belongs to the library."""
+    assert len(path.read_text().splitlines()) <= 150
+
+
 PROGRAMS = [*(ROOT / "nodes" / name for name in FAST_TO_IMPORT), *SCRIPTS]
 
 

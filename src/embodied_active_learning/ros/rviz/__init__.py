@@ -1,1 +1,1 @@
-"""Messages for rviz."""
+"""Markers, clouds and paths for rviz."""

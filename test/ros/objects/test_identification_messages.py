@@ -7,8 +7,8 @@ import rospy
 
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.objects.beliefs import BeliefGrid
-from embodied_active_learning.ros.rviz.beliefs import grid_message
-from embodied_active_learning.ros.rviz.fingerprints import fingerprint_message
+from embodied_active_learning.ros.objects.identification_output import grid_message
+from embodied_active_learning.ros.objects.messages import fingerprint_message
 from embodied_active_learning.workspace import Workspace
 from sample_fingerprints import make_set
 

@@ -1,38 +1,31 @@
-"""Publishes beliefs and decisions as messages, and as grids and markers for rviz."""
+"""Publishes the outputs of the identification: beliefs, decisions, found and unknown objects, and markers for rviz."""
 
 from __future__ import annotations
 
 import re
-from typing import Dict, List, Sequence
+from typing import Dict, Sequence
 
 import numpy as np
 import rospy
 from nav_msgs.msg import OccupancyGrid
 from scipy.interpolate import RegularGridInterpolator
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
-from embodied_active_learning.msg import Belief, BeliefArray
-from embodied_active_learning.msg import Decision as DecisionMessage
+from embodied_active_learning.msg import BeliefArray
 from embodied_active_learning.objects.beliefs import BeliefGrid, shared_scale
-from embodied_active_learning.objects.decision import Decision, decisions_about
-from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import occupancy_grid_message
 from embodied_active_learning.ros.objects.found_objects import FoundObjects
+from embodied_active_learning.ros.objects.messages import belief_message
 from embodied_active_learning.ros.rviz.belief_markers import belief_markers
-from embodied_active_learning.ros.rviz.markers import (
-    BLANK_COLOUR,
-    FOUND_COLOUR,
-    UNKNOWN_COLOUR,
-    disc_marker,
-    label_marker,
-)
+from embodied_active_learning.ros.rviz.object_markers import decision_markers
 
 
-class RvizBeliefs:
+class IdentificationOutput:
     """Latched publishers of beliefs and decisions; beliefs on the way are published for subscribers only."""
 
     def __init__(self) -> None:
@@ -93,46 +86,6 @@ class RvizBeliefs:
         return self._grids[topic]
 
 
-def belief_message(target: SearchTarget, decisions: Sequence[Decision]) -> Belief:
-    """Return the belief of one fingerprint and the decisions about it."""
-    grid = target.grid
-    axes = (grid.x, grid.y, grid.yaw)
-    own = decisions_about(decisions, target.session, target.fingerprint.name)
-    return Belief(
-        session=target.session,
-        fingerprint=target.fingerprint.name,
-        shape=[len(axis) for axis in axes],
-        lower=[float(axis[0]) for axis in axes],
-        step=[float(axis[1] - axis[0]) for axis in axes],
-        mean=grid.mean.astype(np.float32).ravel(),
-        std=grid.std.astype(np.float32).ravel(),
-        decisions=[decision_message(decision) for decision in own],
-    )
-
-
-def decision_message(decision: Decision) -> DecisionMessage:
-    """Return a decision as a message."""
-    x, y, theta = map(float, decision.pose)
-    return DecisionMessage(
-        session=decision.session,
-        fingerprint=decision.fingerprint,
-        kind=decision.kind,
-        outcome=decision.outcome,
-        found=decision.found,
-        instance=decision.instance,
-        x=x,
-        y=y,
-        theta=theta,
-        confidence=decision.confidence,
-        error_rate=decision.error_rate,
-        residual=decision.residual,
-        belief_mean=decision.belief_mean,
-        belief_std=decision.belief_std,
-        views=decision.views,
-        reason=decision.reason,
-    )
-
-
 def grid_message(stamp: rospy.Time, grid: BeliefGrid, scale: float) -> OccupancyGrid:
     """Return the prominence of a belief as an occupancy grid: 0 at the median of the map and below, 100 at `scale`.
 
@@ -143,19 +96,3 @@ def grid_message(stamp: rospy.Time, grid: BeliefGrid, scale: float) -> Occupancy
     x, y = (np.arange(axis[0], axis[-1] + 0.5 * cell, cell) for axis in (grid.x, grid.y))
     points = np.stack(np.meshgrid(x.clip(grid.x[0], grid.x[-1]), y.clip(grid.y[0], grid.y[-1]), indexing="ij"), axis=-1)
     return occupancy_grid_message(stamp, RegularGridInterpolator((grid.x, grid.y), shown)(points), x[0], y[0], cell)
-
-
-def decision_markers(
-    stamp: rospy.Time, decisions: Sequence[Decision], unknown: Sequence[UnknownObject] = ()
-) -> MarkerArray:
-    """Return a disc and a text for each found and each unknown object; earlier markers are deleted."""
-    markers: List[Marker] = [Marker(action=Marker.DELETEALL)]
-    for number, decision in enumerate(item for item in decisions if item.found):
-        colour = BLANK_COLOUR if decision.kind == BLANK else FOUND_COLOUR
-        text = f"{decision.session}/{decision.fingerprint} {decision.confidence:.2f}"
-        markers.append(disc_marker(stamp, "decisions", number, decision.pose, colour))
-        markers.append(label_marker(stamp, "decision_names", number, decision.pose, text))
-    for number, item in enumerate(unknown):
-        markers.append(disc_marker(stamp, "unknown", number, item.place, UNKNOWN_COLOUR))
-        markers.append(label_marker(stamp, "unknown_names", number, item.place, "unknown"))
-    return MarkerArray(markers)

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from pathlib import Path
 from typing import List
 
 import rospy
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
+from embodied_active_learning.errors import SessionError
 from embodied_active_learning.msg import Fingerprint as FingerprintMessage
 from embodied_active_learning.msg import FingerprintArray
-from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import image_message
-from embodied_active_learning.ros.rviz.markers import BLANK_COLOUR, OBJECT_COLOUR, disc_marker, label_marker
+from embodied_active_learning.ros.objects.messages import fingerprint_message
+from embodied_active_learning.ros.rviz.object_markers import fingerprint_markers
+from embodied_active_learning.session.paths import SessionPaths
 
 
-class RvizFingerprints:
+class FingerprintOutput:
     """Latched publishers of the stored fingerprints."""
 
     def __init__(self) -> None:
@@ -34,29 +39,13 @@ class RvizFingerprints:
         self._markers.publish(fingerprint_markers(stamp, found))
         return messages
 
-
-def fingerprint_message(stamp: rospy.Time, found: FingerprintSet, item: Fingerprint) -> FingerprintMessage:
-    """Return one fingerprint of a set as a message."""
-    x, y, theta = map(float, item.centre)
-    return FingerprintMessage(
-        header=Header(stamp=stamp, frame_id=names.BASE_FRAME),
-        session=found.session,
-        name=item.name,
-        kind=item.kind,
-        x=x,
-        y=y,
-        theta=theta,
-        views=len(item.states),
-        updates=found.updates,
-        importance=item.importance,
-    )
-
-
-def fingerprint_markers(stamp: rospy.Time, found: FingerprintSet) -> MarkerArray:
-    """Return a disc and a name for each fingerprint; earlier markers are deleted."""
-    markers = [Marker(action=Marker.DELETEALL)]
-    for number, item in enumerate(found.fingerprints):
-        colour = BLANK_COLOUR if item.kind == BLANK else OBJECT_COLOUR
-        markers.append(disc_marker(stamp, "fingerprints", number, item.centre, colour))
-        markers.append(label_marker(stamp, "fingerprint_names", number, item.centre, item.name))
-    return MarkerArray(markers)
+    def publish_stored(self, session: Path) -> None:
+        """Publish the fingerprints of a session folder, if it has any."""
+        if not SessionPaths(session).fingerprints.exists():
+            return
+        stored = import_module("embodied_active_learning.session.fingerprints")  # slow, because of the model
+        try:
+            if stored.has_fingerprints(session):
+                self.publish(stored.load_fingerprints(session))
+        except SessionError as error:
+            rospy.logerr("stored fingerprints are not published: %s", error)
