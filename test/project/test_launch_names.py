@@ -7,6 +7,7 @@ import pytest
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader, XmlParseException
 
+from embodied_active_learning.config import REAL_ROBOTS, SIMULATED
 from launching import ROOT
 from threads import in_a_thread
 
@@ -44,6 +45,7 @@ def load(name, **arguments):
     XmlLoader().load(str(path), ROSLaunchConfig(), argv=words, verbose=False)
 
 
+ARMS = {f"/{robot}_arm" for robot in (SIMULATED, *REAL_ROBOTS)}
 SYSTEM = {"/trainer", "/ergodic_planner", "/fingerprinter"}
 LEARNING = SYSTEM | {"/monitor", "/recorder"}
 
@@ -60,7 +62,7 @@ LEARNING = SYSTEM | {"/monitor", "/recorder"}
         (
             "replay",
             {"bag": "nowhere.bag"},
-            {*SYSTEM, "/replay", "/monitor", "/identifier", "/pybullet_arm", "/franka_arm", "/velocity_service_arm"},
+            {*SYSTEM, "/replay", "/monitor", "/identifier", *ARMS},
         ),
     ],
 )
