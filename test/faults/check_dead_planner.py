@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """The arm stops if its commander dies or hangs, or if an operator stops it."""
 
+import sys
 import threading
-import time
 import unittest
+from pathlib import Path
 
 import numpy as np
 import rospy
@@ -17,6 +18,10 @@ import rostest
 from embodied_active_learning.config import Config
 from embodied_active_learning.ros.conversions import state_arrays
 from node_process import NodeProcess, frozen
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from threads import wait_for
 
 STOPPED = "stopped by /check_dead_planner: call /arm/recover to resume"
 TIMEOUT = 60.0
@@ -76,10 +81,7 @@ class DeadPlannerTest(unittest.TestCase):
         self.wait_for_progress()
 
     def wait_for(self, condition, what):
-        waiting, ends_at = threading.Event(), time.monotonic() + TIMEOUT
-        while not condition():
-            self.assertLess(time.monotonic(), ends_at, what)
-            waiting.wait(0.02)
+        wait_for(condition, 0.02, TIMEOUT, lambda: what)
 
     def wait_for_progress(self):
         before = self.observed

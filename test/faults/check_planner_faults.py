@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """The planner with a faulty arm or camera: it holds the arm still, reports why, stores nothing wrong, and resumes."""
 
+import sys
 import threading
-import time
 import unittest
+from pathlib import Path
 
 import numpy as np
 import rospy
@@ -16,6 +17,10 @@ from std_srvs.srv import Trigger, TriggerResponse
 import rostest
 from embodied_active_learning.ros.conversions import image_array, image_message, state_arrays, state_message
 from node_process import NodeProcess, frozen
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+
+from threads import wait_for
 
 TIMEOUT = 60.0
 PAUSED = "paused, waiting for a call of /planner/resume"
@@ -173,10 +178,7 @@ class PlannerFaultsTest(unittest.TestCase):
         self.call("planner/resume")
 
     def wait_for(self, condition, what):
-        waiting, ends_at = threading.Event(), time.monotonic() + TIMEOUT
-        while not condition():
-            self.assertLess(time.monotonic(), ends_at, what)
-            waiting.wait(0.02)
+        wait_for(condition, 0.02, TIMEOUT, lambda: what)
 
     def wait_for_progress(self):
         before = self.last.index

@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-import time
 import xmlrpc.client
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 
 from embodied_active_learning.ros.runtime.shutdown import ExitCode
 from launching import ROOT, environment, started
+from threads import wait_for, wait_while_running
 
 pytestmark = pytest.mark.ros
 
@@ -32,11 +32,7 @@ class Node:
         return self._log.read_text()
 
     def wait_until(self, condition, timeout=60):
-        ends_at = time.monotonic() + timeout
-        while not condition():
-            assert self.process.poll() is None, self.output
-            assert time.monotonic() < ends_at, self.output
-            time.sleep(0.02)
+        wait_while_running(self.process, condition, timeout, lambda: self.output)
 
     def wait_for(self, words):
         self.wait_until(lambda: words in self.output)
@@ -64,15 +60,16 @@ class Ros:
         port = self.uri.rsplit(":", 1)[1]
         with started(["rosmaster", "--core", "-p", port], self.home / "master.log", self.variables) as process:
             api = xmlrpc.client.ServerProxy(self.uri)
-            ends_at = time.monotonic() + 20
-            while True:
+
+            def is_set_up():
                 try:
                     for name, value in {"/config": {}, **parameters}.items():
                         api.setParam("/test", name, value)
-                    break
                 except OSError:
-                    assert time.monotonic() < ends_at
-                    time.sleep(0.02)
+                    return False
+                return True
+
+            wait_for(is_set_up, 0.02, 20)
             try:
                 yield process
             finally:

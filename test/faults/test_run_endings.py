@@ -15,6 +15,7 @@ from embodied_active_learning.session.checkpoints import load_latest
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
 from launching import ROOT, environment, launched, pid_of
+from threads import wait_while_running
 
 sys.path.insert(0, str(ROOT / "experiments"))
 
@@ -66,11 +67,7 @@ class Run:
         return max(abs(state[key]) for key in ("vx", "vy", "omega")) < 1e-4
 
     def wait_for(self, condition, timeout=60):
-        ends_at = time.monotonic() + timeout
-        while not condition():
-            assert self.process.poll() is None, self.output
-            assert time.monotonic() < ends_at, self.output
-            time.sleep(0.05)
+        wait_while_running(self.process, condition, timeout, lambda: self.output)
 
     def wait_for_progress(self):
         before = self.steps

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import ExitStack
 
 import pytest
@@ -15,6 +14,7 @@ import embodied_active_learning as eal
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.session.session import Session
 from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
+from threads import wait_while_running
 
 pytestmark = pytest.mark.ros
 
@@ -31,12 +31,11 @@ def finished(path):
     return subprocess.run(check, check=False, capture_output=True).returncode == 0
 
 
-def wait_for(condition, process, timeout=120):
-    ends_at = time.monotonic() + timeout
-    while not condition():
-        assert process.poll() is None, "the launch ended"
-        assert time.monotonic() < ends_at, "timeout"
-        time.sleep(0.1)
+def wait_for_size(path, size, process):
+    """Return once a file of a running launch has more characters than `size`."""
+    wait_while_running(
+        process, lambda: path.exists() and len(path.read_text()) > size, 120, lambda: f"{path.name} does not grow"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +111,7 @@ def test_invalid_arguments_refused_before_nodes_start(overrides, expected, tmp_p
 def test_run_with_killed_trainer_ends_unfinished(tmp_path):
     path = tmp_path / "run"
     with launched(tmp_path, *arguments(tmp_path, steps=80)) as process:
-        wait_for(lambda: (path / "training.csv").exists() and len((path / "training.csv").read_text()) > 1500, process)
+        wait_for_size(path / "training.csv", 1500, process)
         os.kill(pid_of("trainer", process.pid), signal.SIGKILL)
         process.wait(60)
     assert not finished(path)
@@ -126,7 +125,7 @@ def test_run_finishes_after_its_worker_is_killed(tmp_path):
     (tmp_path / "profile.yaml").write_text(yaml.safe_dump(profile))
     several = arguments(tmp_path, profile=tmp_path / "profile.yaml", steps=steps, trainers=2)
     with launched(tmp_path, *several) as process:
-        wait_for(lambda: (path / "rounds.csv").exists() and len((path / "rounds.csv").read_text()) > 100, process)
+        wait_for_size(path / "rounds.csv", 100, process)
         os.kill(pid_of("trainer_worker_1", process.pid), signal.SIGKILL)
         process.wait(180)
     output = (tmp_path / "launch.log").read_text()

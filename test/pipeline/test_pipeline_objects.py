@@ -4,7 +4,6 @@ import math
 import subprocess
 import sys
 import threading
-import time
 
 import actionlib_msgs.msg
 import pytest
@@ -19,6 +18,7 @@ from embodied_active_learning.session.identifications import load_identification
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.truth import true_objects
 from launching import ROOT, environment, launch_to_the_end, launched
+from threads import wait_while_running
 
 pytestmark = pytest.mark.ros
 
@@ -46,11 +46,7 @@ class Learning:
         return len(table.read_text().splitlines()) - 1 if table.exists() else 0
 
     def wait_for(self, condition, timeout=240):
-        ends_at = time.monotonic() + timeout
-        while not condition():
-            assert self.process.poll() is None, self.log()
-            assert time.monotonic() < ends_at, self.log()
-            time.sleep(0.1)
+        wait_while_running(self.process, condition, timeout, self.log)
 
     def log(self):
         return (self.home / "launch.log").read_text()

@@ -1,4 +1,4 @@
-"""Helpers for tests with threads."""
+"""Helpers for tests with threads and processes."""
 
 import threading
 import time
@@ -11,12 +11,23 @@ def in_a_thread(function, *arguments):
     return thread
 
 
-def wait_for(condition, period=0.002):
-    """Return once a condition holds, checked every `period` seconds; fail after ten seconds."""
-    ends_at = time.monotonic() + 10.0
+def wait_for(condition, period=0.002, timeout=10.0, failure=lambda: "timeout"):
+    """Return once a condition holds, checked every `period` seconds; after `timeout` seconds fail with failure()."""
+    ends_at = time.monotonic() + timeout
     while not condition():
-        assert time.monotonic() < ends_at
+        assert time.monotonic() < ends_at, failure()
         time.sleep(period)
+
+
+def wait_while_running(process, condition, timeout, failure):
+    """Return once a condition holds; fail with failure() if the process ends before, or after `timeout` seconds."""
+
+    def holds():
+        held = condition()
+        assert held or process.poll() is None, failure()
+        return held
+
+    wait_for(holds, 0.05, timeout, failure)
 
 
 def wait_for_waiter(thread, condition):

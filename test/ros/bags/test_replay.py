@@ -4,7 +4,6 @@ import math
 import os
 import signal
 import subprocess
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.simulation.truth import true_objects
 from launching import ROOT, launch_to_the_end, launched, pid_of
+from threads import wait_while_running
 
 pytestmark = pytest.mark.ros
 
@@ -52,12 +52,11 @@ def rows(path):
 @pytest.fixture(scope="module")
 def replayed(home):
     """Replay, killed in the middle and resumed -> its folder, and the output of the launch."""
-    deadline, chosen = time.monotonic() + 120, arguments(home, respawn="true", fingerprint="true")
+    chosen = arguments(home, respawn="true", fingerprint="true")
     with launched(home, "replay.launch", *chosen) as process:
-        while rows(home / "again" / "training.csv") < 60:
-            assert process.poll() is None, (home / "launch.log").read_text()
-            assert time.monotonic() < deadline, (home / "launch.log").read_text()
-            time.sleep(0.02)
+        wait_while_running(
+            process, lambda: rows(home / "again" / "training.csv") >= 60, 120, (home / "launch.log").read_text
+        )
         for node in ("replay", "trainer"):
             os.kill(pid_of(node, process.pid), signal.SIGKILL)
         assert 60 <= rows(home / "again" / "exploration.csv") < OBSERVATIONS
