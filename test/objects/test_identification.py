@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.config import CameraConfig, IdentificationConfig
-from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects import identification, scene_views, search_target
 from embodied_active_learning.objects.appearance import Appearance
@@ -341,6 +341,13 @@ def test_camera_mismatch_names_key(key, value):
     match = rf"camera mismatch: session learned was trained with camera/{key} = .*, the images have {value}"
     with pytest.raises(ConfigError, match=match):
         make_identification(camera=replace(CAMERA, **{key: value}))
+
+
+def test_sessions_of_one_name_are_refused():
+    """Their decisions and belief grids would be stored under the same name."""
+    other = replace(LEARNED, created="2026-11-23T12:45:00Z")
+    with pytest.raises(SessionError, match="two sets of fingerprints are of sessions named learned"):
+        make_identification(sets=(LEARNED, other))
 
 
 def test_irrelevant_camera_settings_may_differ():

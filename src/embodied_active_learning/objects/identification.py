@@ -11,7 +11,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import CameraConfig, IdentificationConfig
-from embodied_active_learning.errors import ConfigError, CorruptFileError
+from embodied_active_learning.errors import ConfigError, CorruptFileError, SessionError
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
 from embodied_active_learning.objects.decision import Decision
@@ -51,8 +51,10 @@ class Identification:
 
         Raises:
             ConfigError: If a model was trained with another camera.
+            SessionError: If two sets are of sessions with the same name.
             CorruptFileError: If a model does not fit its session's configuration.
         """
+        _check_names(sets)
         self._workspace, self._camera, self._settings = workspace, camera, settings
         self._rule = DecisionRule(settings)
         self._groups: List[Tuple[Matcher, List[SearchTarget]]] = []
@@ -158,6 +160,17 @@ def _make_group(
         grid = BeliefGrid(workspace, settings)
         targets.append(SearchTarget(fingerprint_set, fingerprint, model, matcher.threshold, grid, settings))
     return matcher, targets
+
+
+def _check_names(sets: Sequence[FingerprintSet]) -> None:
+    """Check that no two sets have labels in common, by which decisions and results are stored."""
+    names = [item.session for item in sets]
+    duplicate = next((name for name in names if names.count(name) > 1), "")
+    if duplicate:
+        raise SessionError(
+            f"two sets of fingerprints are of sessions named {duplicate}: results are stored by that name; identify "
+            "with one of them at a time"
+        )
 
 
 def _load_model(fingerprint_set: FingerprintSet) -> TrainedModel:
