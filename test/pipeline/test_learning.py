@@ -18,6 +18,8 @@ from embodied_active_learning.pipeline import learning, stopping
 from embodied_active_learning.pipeline.learning import learn, ros_seconds
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint
+from embodied_active_learning.session.description import write_description
+from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.summary import read_summary
 from tiny import STEPS, TINY
 
@@ -120,6 +122,56 @@ def test_fingerprints_are_found_in_another_session(learned, tmp_path, from_store
         eal.identify(session, images_of=other, name="first")
     with pytest.raises(SessionError, match="too few images: 25 requested"):
         eal.identify([session], images_of=other, images=STEPS + 1)
+
+
+@pytest.fixture(scope="module")
+def fingerprinted(learned):
+    """A session, and its fingerprints."""
+    session, _ = learned
+    return session, eal.fingerprint(session, from_stored=True, views=2)
+
+
+@pytest.mark.parametrize("robot", ["franka", "recording"])
+def test_fingerprinting_a_real_session_needs_stored_views(fingerprinted, tmp_path, robot):
+    session, _ = fingerprinted
+    path = tmp_path / "real"
+    shutil.copytree(session.paths.path, path)
+    write_description(path / "config.yaml", replace(session.config, arm=replace(session.config.arm, robot=robot)))
+    before = load_fingerprints(path).created
+    with pytest.raises(ConfigError, match=f"arm/robot of session real is {robot}.*use from_stored=True"):
+        eal.fingerprint(path)
+    assert load_fingerprints(path).created == before
+    assert eal.fingerprint(path, from_stored=True, views=2).session == "real"
+
+
+def test_identification_accepts_any_form_of_sessions(fingerprinted):
+    """Each session is searched for once."""
+    session, found = fingerprinted
+    path = str(session.paths.path)
+    results = [
+        eal.identify(sources, images_of=session, images=10.0, name=f"form-{number}", decision="belief")
+        for number, sources in enumerate([session, found, path, (session,), [found, found], [session, path]])
+    ]
+    labels = [[(item.session, item.fingerprint) for item in decisions] for decisions in results]
+    assert labels == [labels[0]] * len(results)
+
+
+@pytest.mark.parametrize(
+    ("sources", "message"),
+    [([], "no sessions given"), (5, "session is 5: expected sessions"), ([5], "session is 5: expected")],
+)
+def test_identification_without_sessions_is_refused(learned, sources, message):
+    session, _ = learned
+    with pytest.raises(SessionError, match=message):
+        eal.identify(sources, images_of=session, name="nothing")
+    assert not (session.paths.identification / "nothing").exists()
+
+
+@pytest.mark.parametrize("images", [1.5, "ten", float("nan")])
+def test_invalid_number_of_images_is_refused(fingerprinted, images):
+    session, _ = fingerprinted
+    with pytest.raises(ConfigError, match=r"images is .*: expected a whole number"):
+        eal.identify(session, images_of=session, images=images)
 
 
 def test_session_is_loaded_by_object_path_and_name(learned, tmp_path, monkeypatch):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
+from numbers import Real
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Union
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
 
-from embodied_active_learning.config import Config
-from embodied_active_learning.errors import ConfigError, ObservationError
+from embodied_active_learning.config import SIMULATED, Config
+from embodied_active_learning.errors import ConfigError, ObservationError, SessionError
+from embodied_active_learning.files import short_repr
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.decision import Decision
@@ -25,6 +28,8 @@ from embodied_active_learning.simulation.world import load_world
 
 SessionLike = Union[Session, Path, str]
 """A session, its folder, or its name below the default session/root."""
+FingerprintsLike = Union[SessionLike, FingerprintSet]
+"""A session with fingerprints, or what `fingerprint` returned for it."""
 
 
 def load_config(profile: str = "", **overrides: Any) -> Config:
@@ -47,6 +52,8 @@ def load_session(session: SessionLike) -> Session:
     """Open a session for reading, also while it is running. Raises SessionError if it does not exist."""
     if isinstance(session, Session):
         return session
+    if not isinstance(session, (str, os.PathLike)):
+        raise SessionError(f"session is {short_repr(session)}: expected a Session, its folder, or its name")
     if isinstance(session, str) and os.sep not in session:
         return Session.open_read_only(find_session(session_root(Config()), session))
     return Session.open_read_only(Path(os.path.abspath(os.path.expanduser(session))))
@@ -67,6 +74,7 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
         **settings_: Keys of the section `fingerprint`, such as `views=30`.
 
     Raises:
+        ConfigError: Invalid setting, or the session is not of the simulation and from_stored is not set.
         SessionError: Nothing was learned yet.
         ObservationError: There is nothing to find, or too few views.
     """
@@ -74,6 +82,11 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
     values = found.config.to_dict()
     values["fingerprint"].update(settings_)
     config = Config.from_dict(values)
+    if not from_stored and config.arm.robot != SIMULATED:
+        raise ConfigError(
+            f"arm/robot of session {found.name} is {config.arm.robot}, whose views cannot be taken in the simulation: "
+            "use from_stored=True, or fingerprint.launch"
+        )
     run = FingerprintRun(found.paths.path, config.fingerprint, from_stored)
     if run.clustering.flat:
         raise ObservationError(run.summary)
@@ -83,7 +96,7 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
 
 
 def identify(
-    session: Union[SessionLike, List[SessionLike]],
+    session: Union[FingerprintsLike, Sequence[FingerprintsLike]],
     images_of: SessionLike,
     images: int = 0,
     name: str = "",
@@ -93,7 +106,7 @@ def identify(
     """Search for the fingerprints of one or several sessions in the images of another one, and store the decisions.
 
     Args:
-        session: Session or sessions with fingerprints.
+        session: Session or sessions with fingerprints, or what `fingerprint` returned. Each is searched for once.
         images_of: Session with the images to search.
         images: Number of images, from the first on; 0 for all.
         name: Name of the results below identification/ in `images_of`; empty for the current time.
@@ -101,10 +114,12 @@ def identify(
         **settings_: Keys of the section `identification`, such as `decision="belief"`.
 
     Raises:
-        SessionError: There are no fingerprints or too few images, or the name is taken.
+        ConfigError: Invalid setting or number of images, or the cameras differ.
+        SessionError: There are no fingerprints or too few images, two sessions have one name, or the name of the
+            results is taken.
     """
-    sources = session if isinstance(session, list) else [session]
-    sets = [load_fingerprints(load_session(source).paths.path) for source in sources]
+    sets = _load_sets([session] if isinstance(session, (Session, FingerprintSet, str, os.PathLike)) else session)
+    images = _whole_number("images", images)
     searched = load_session(images_of)
     values = searched.config.to_dict()
     values["identification"].update(settings_)
@@ -116,6 +131,29 @@ def identify(
         decisions = run.decide()
         run.save(decisions)
     return decisions
+
+
+def _load_sets(sources: Sequence[FingerprintsLike]) -> List[FingerprintSet]:
+    """Return the sets to search for, each once."""
+    if not isinstance(sources, Sequence):
+        raise SessionError(f"session is {short_repr(sources)}: expected sessions or sets of fingerprints")
+    if not sources:
+        raise SessionError("no sessions given: name at least one session with fingerprints")
+    sets: Dict[Union[int, str], FingerprintSet] = {}
+    for source in sources:
+        if isinstance(source, FingerprintSet):
+            sets[id(source)] = source
+        else:
+            path = load_session(source).paths.path
+            sets[os.path.realpath(path)] = load_fingerprints(path)
+    return list(sets.values())
+
+
+def _whole_number(name: str, value: Any) -> int:
+    """Return a number without its fraction, which must be 0."""
+    if not isinstance(value, Real) or not math.isfinite(value) or value != int(value):
+        raise ConfigError(f"{name} is {short_repr(value)}: expected a whole number")
+    return int(value)
 
 
 def _collect_views(run: FingerprintRun, config: Config) -> None:
