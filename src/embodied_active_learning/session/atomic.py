@@ -1,12 +1,17 @@
-"""Atomic file replacement: a file has either its old or its new content, whatever kills the process or the machine."""
+"""Atomic file replacement: a file has either its old or its new content, whatever kills the process or the machine.
+
+A folder is replaced as a whole: it has its old or its new content, whatever fails. Only a process that is killed
+between the two renames leaves none.
+"""
 
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, Iterator
+from typing import BinaryIO, Iterable, Iterator
 
 from embodied_active_learning.errors import SessionError
 
@@ -18,7 +23,7 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
     """Yield a temporary file that replaces path at the end of the block, and is deleted if the block fails."""
     path = Path(path)
     # In the same folder, because a rename is atomic only within one file system.
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}{_SUFFIX}")
+    temporary = _temporary(path, path.name)
     try:
         # A leftover of a killed process with the same id, or a link, which must not be written through.
         temporary.unlink(missing_ok=True)
@@ -33,6 +38,35 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):  # the next writer removes it; the first error is the one to report
             temporary.unlink()
+
+
+@contextmanager
+def replace_folder(path: Path) -> Iterator[Path]:
+    """Yield a temporary folder that replaces path at the end of the block, and is deleted if the block fails.
+
+    The functions of this module flush what the block writes with them.
+
+    Raises:
+        SessionError: Writing failed, also inside the block; the previous folder is kept.
+    """
+    temporary, previous = _temporary(path, path.name), _temporary(path, f"{path.name}.previous")
+    try:
+        remove_paths([temporary])
+        temporary.mkdir()
+        yield temporary
+        _swap(path, temporary, previous)
+        sync_folder(path.parent)
+        remove_paths([previous])
+    except (OSError, SessionError) as error:
+        reason = error if isinstance(error, OSError) else error.__cause__
+        if not isinstance(reason, OSError):
+            raise
+        raise SessionError(
+            f"{path} cannot be written ({reason.strerror}): free disk space, or make its folder writable; the previous "
+            "one is kept"
+        ) from reason
+    finally:
+        remove_paths([temporary])
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -66,6 +100,16 @@ def remove_file(path: Path) -> None:
         raise SessionError(f"{path} cannot be deleted ({error.strerror}): fix the permissions of its folder") from error
 
 
+def remove_paths(paths: Iterable[Path]) -> None:
+    """Delete files and folders without following links. What cannot be deleted is left for the next writer."""
+    for path in paths:
+        with suppress(OSError):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink()
+
+
 def sync_folder(folder: Path) -> None:
     """Flush the entries of a folder to the disk; otherwise a renamed file may be lost in a power failure."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -76,11 +120,27 @@ def sync_folder(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete temporary files whose writer no longer runs."""
-    for leftover in folder.glob(f".*{_SUFFIX}"):
-        if not _is_being_written(leftover):
-            with suppress(OSError):  # harmless if it stays
-                leftover.unlink()
+    """Delete temporary files and folders whose writer no longer runs."""
+    remove_paths(path for path in folder.glob(f".*{_SUFFIX}") if not _is_being_written(path))
+
+
+def _temporary(path: Path, name: str) -> Path:
+    """Return a path beside another one that only this thread uses."""
+    return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}{_SUFFIX}")
+
+
+def _swap(path: Path, new: Path, previous: Path) -> None:
+    """Rename a new folder to a path, and what is there to another one. A rename cannot replace a folder with files."""
+    replaces = os.path.lexists(path)
+    if replaces:
+        remove_paths([previous])
+        os.replace(path, previous)
+    try:
+        os.replace(new, path)
+    except BaseException:
+        if replaces:
+            os.replace(previous, path)
+        raise
 
 
 def _is_being_written(temporary: Path) -> bool:

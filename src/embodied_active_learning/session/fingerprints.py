@@ -7,11 +7,10 @@ Whatever kills the process or the machine, the newest generation is complete.
 from __future__ import annotations
 
 import os
-import shutil
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Collection, Iterable, Iterator, Optional, Tuple
+from typing import Collection, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -26,7 +25,14 @@ from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, Fi
 from embodied_active_learning.objects.limits import CALIBRATION_VERSION, Calibration
 from embodied_active_learning.schema import build, required, to_plain
 from embodied_active_learning.session import array_files
-from embodied_active_learning.session.atomic import is_leftover, sync_folder, write_bytes, write_text
+from embodied_active_learning.session.atomic import (
+    is_leftover,
+    remove_paths,
+    replace_folder,
+    sync_folder,
+    write_bytes,
+    write_text,
+)
 from embodied_active_learning.session.checkpoints import load_model, save_model
 from embodied_active_learning.session.description import changed_keys, read_description
 from embodied_active_learning.session.fingerprinted import generations, newest_generation
@@ -141,22 +147,16 @@ def _check_belongs(session_path: Path, found: FingerprintSet) -> None:
 
 def _replace_set(folder: Path, found: FingerprintSet) -> Path:
     """Write the next generation and delete the previous ones. The caller holds the lock."""
-    _remove(path for path in folder.glob("*") if is_leftover(path.name))
+    remove_paths(path for path in folder.glob("*") if is_leftover(path.name))
     before = generations(folder.parent)
     target = folder / f"{int(before[0].name) + 1 if before else 1:06d}"
-    temporary = folder / f".{target.name}.tmp"
-    try:
+    with replace_folder(target) as temporary:
         _write_set(temporary, found)
-        os.replace(temporary, target)
-        sync_folder(folder)
-    finally:
-        _remove([temporary])
-    _remove(before)
+    remove_paths(before)
     return target
 
 
 def _write_set(folder: Path, found: FingerprintSet) -> None:
-    folder.mkdir()
     for fingerprint in found.fingerprints:
         (folder / fingerprint.name).mkdir()
         _write_fingerprint(folder / fingerprint.name, fingerprint)
@@ -277,13 +277,3 @@ def _damage_in(path: Path) -> Iterator[None]:
         raise
     except (SessionError, TypeError, ValueError) as error:
         raise _READER.make_error(f"{path}:", str(error)) from error
-
-
-def _remove(paths: Iterable[Path]) -> None:
-    """Delete files and folders without following links. The next save tries again if one fails."""
-    for path in paths:
-        with suppress(OSError):
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink()

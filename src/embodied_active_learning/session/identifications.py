@@ -21,7 +21,7 @@ from embodied_active_learning.objects.decision import FOUND, NOT_HERE, OUTCOMES,
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.schema import build, required
-from embodied_active_learning.session.atomic import make_folder, remove_file, remove_leftovers, write_text
+from embodied_active_learning.session.atomic import make_folder, remove_leftovers, replace_folder, write_text
 from embodied_active_learning.session.checksummed_yaml import checksummed_text, read_checksummed
 from embodied_active_learning.session.paths import SessionPaths, stays_inside
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
@@ -90,15 +90,13 @@ def save_identification(
     decisions: Sequence[Decision],
     unknown: Sequence[UnknownObject] = (),
 ) -> Path:
-    """Write an identification in place of an earlier one of the same name.
-
-    The decisions are written last: without them it is incomplete.
+    """Write an identification in place of an earlier one of the same name, whose figures are deleted.
 
     Returns:
         Its folder.
 
     Raises:
-        SessionError: The disk failed.
+        SessionError: The disk failed; the earlier one is kept.
     """
     folder = identification_folder(session_path, name)
     facts = {"images": identification.images, "session": session_path.name}
@@ -106,15 +104,14 @@ def save_identification(
     text = checksummed_text({"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows})
     if len(text) > MAX_YAML_SIZE:
         raise SessionError(f"{len(rows)} decisions are too many for {folder}: search for fewer fingerprints")
-    make_folder(folder)
-    remove_leftovers(folder)
-    for stale in (folder / DECISIONS_FILE, *folder.glob("*.png"), *folder.glob("*.pdf")):
-        remove_file(stale)
-    write_tensors(folder / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
-    write_tensors(folder / TRACE_FILE, "trace", _trace(identification), facts)
-    write_text(folder / TABLE_FILE, _table(rows))
-    write_text(folder / UNKNOWN_FILE, _table([_plain_unknown(item) for item in unknown]))
-    write_text(folder / DECISIONS_FILE, text)
+    make_folder(folder.parent)
+    remove_leftovers(folder.parent)
+    with replace_folder(folder) as temporary:
+        write_tensors(temporary / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
+        write_tensors(temporary / TRACE_FILE, "trace", _trace(identification), facts)
+        write_text(temporary / TABLE_FILE, _table(rows))
+        write_text(temporary / UNKNOWN_FILE, _table([_plain_unknown(item) for item in unknown]))
+        write_text(temporary / DECISIONS_FILE, text)
     return folder
 
 
