@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from numbers import Real
@@ -151,9 +150,9 @@ def _load_sets(sources: Sequence[FingerprintsLike]) -> List[FingerprintSet]:
 
 def _whole_number(name: str, value: Any) -> int:
     """Return a number without its fraction, which must be 0."""
-    if not isinstance(value, Real) or not math.isfinite(value) or value != int(value):
+    if not isinstance(value, Real) or not float(value).is_integer():
         raise ConfigError(f"{name} is {short_repr(value)}: expected a whole number")
-    return int(value)
+    return int(float(value))
 
 
 def _collect_views(run: FingerprintRun, config: Config) -> None:
