@@ -9,6 +9,7 @@ import numpy as np
 
 from embodied_active_learning.model.verdict import judge_run
 from embodied_active_learning.objects.stability import reason_to_end
+from embodied_active_learning.session.observations import count_observations
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import Summary, readable_summary, write_summary
 
@@ -28,7 +29,8 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
     ended = _reason_to_end(session)
     return Summary(
         finished=finished,
-        steps=int(_last(exploration, "step") or 0),  # an interrupted step has an observation, but no row
+        # A step that was interrupted after its observation has no row.
+        steps=max(int(_last(exploration, "step") or 0), count_observations(session.paths.observations)),
         updates=updates,
         wall_time=round(float(wall_time), 3),
         active_units=_last(evaluation, "active_units"),

@@ -213,6 +213,16 @@ class ObservationStore:
             )
 
 
+def count_observations(folder: Path) -> int:
+    """Return the number of whole records in the file of a store, without reading them; 0 if there is no store.
+
+    Raises:
+        CorruptFileError: The layout is damaged.
+    """
+    data = Path(folder) / DATA_FILE
+    return os.path.getsize(data) // RecordLayout.load(Path(folder) / LAYOUT_FILE).size if data.exists() else 0
+
+
 def _allocate(layout: RecordLayout, capacity: int) -> Observations:
     """Allocate arrays; the kernel provides the memory as they are filled."""
     dimensions = len(layout.state_names)
