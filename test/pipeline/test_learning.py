@@ -20,6 +20,7 @@ from embodied_active_learning.session import lock
 from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint
 from embodied_active_learning.session.description import write_description
 from embodied_active_learning.session.fingerprints import load_fingerprints
+from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
 from tiny import STEPS, TINY
 
@@ -91,8 +92,12 @@ def test_interrupted_run_is_resumed(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         learn(tiny(tmp_path), interrupt)
+    interrupted = read_summary(tmp_path / "run" / "summary.yaml")
+    assert (interrupted.finished, interrupted.steps) == (False, 15)
     session = learn(eal.load_config("", root=str(tmp_path), name="run", resume=True))
-    assert read_summary(session.paths.summary).finished
+    summary = read_summary(session.paths.summary)
+    assert summary.finished
+    assert summary.wall_time > interrupted.wall_time > 0.0
     assert list(session.read_table("exploration")["step"]) == list(range(1, STEPS + 1))
 
 
@@ -103,6 +108,37 @@ def test_training_error_ends_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(learning.TrainingRun, "train", fail)
     with pytest.raises(SessionError, match="the disk is full"):
         learn(tiny(tmp_path))
+
+
+def test_failed_summary_does_not_hide_the_error(tmp_path, monkeypatch):
+    def fail(*arguments):
+        raise OSError("no summary")
+
+    monkeypatch.setattr(learning, "conclude_launch", fail)
+    with pytest.raises(ZeroDivisionError):
+        learn(tiny(tmp_path), lambda progress: 1 // 0)
+    assert lock.holder(tmp_path / "run" / ".lock") is None
+
+
+def test_refused_run_restores_torch_threads(learned):
+    session, _ = learned
+    before = torch.get_num_threads()
+    config = session.config  # the session exists, and is not to be resumed
+    with pytest.raises(SessionError, match="exists"):
+        learn(replace(config, training=replace(config.training, threads=before + 1)))
+    assert torch.get_num_threads() == before
+
+
+def test_step_without_row_counts(learned, tmp_path):
+    """The process was killed after the last observation, before its row."""
+    shutil.copytree(learned[0].paths.path, tmp_path / "run")
+    table = tmp_path / "run" / "exploration.csv"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:-1]))
+    session = learn(tiny(tmp_path, resume=True))
+    summary = read_summary(session.paths.summary)
+    assert (summary.finished, summary.steps) == (True, STEPS)
+    Session.open_for_writing(session.config).close()
+    assert read_summary(session.paths.summary).finished
 
 
 def test_real_robot_is_refused(tmp_path):

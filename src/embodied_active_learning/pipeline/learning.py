@@ -6,11 +6,13 @@ times of observations are rounded like ROS times.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from types import TracebackType
-from typing import Callable, Optional, Tuple, Type
+from typing import Callable, Iterator, Optional, Tuple, Type
 
 import numpy as np
 import torch
@@ -33,6 +35,8 @@ from embodied_active_learning.session.conclusion import conclude_launch
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import load_world
+
+LOG = logging.getLogger(__name__)
 
 ProgressCallback = Callable[[Progress], None]
 _PROGRESS_PERIOD = 0.5
@@ -62,12 +66,30 @@ def learn(config: Config, on_progress: Optional[ProgressCallback] = None) -> Ses
         raise ConfigError(f"arm/robot is {config.arm.robot}: only the simulation can be explored without ROS")
     started_at = time.monotonic()
     world = load_world(config.simulation.world, config.workspace.box())
-    with Simulation(world, config) as simulation, BackgroundTraining(config) as training:
-        _explore(config, simulation, training, on_progress or (lambda progress: None))
+    with Simulation(world, config) as simulation:
+        training = BackgroundTraining(config)
         folder = training.run.folder
-    session = Session.open_read_only(folder)
-    conclude_launch(session, finished=True, wall_time=time.monotonic() - started_at)
-    return session
+        with _summary(folder, started_at), training:
+            _explore(config, simulation, training, on_progress or (lambda progress: None))
+    return Session.open_read_only(folder)
+
+
+@contextmanager
+def _summary(folder: Path, started_at: float) -> Iterator[None]:
+    """Write the summary of a session at the end of the block; an unfinished one if the block is interrupted."""
+    try:
+        yield
+    except BaseException:
+        try:
+            _conclude(folder, started_at, finished=False)
+        except Exception as error:  # it must not hide what ended the run
+            LOG.warning("summary of the interrupted run not written: %s", error)
+        raise
+    _conclude(folder, started_at, finished=True)
+
+
+def _conclude(folder: Path, started_at: float, finished: bool) -> None:
+    conclude_launch(Session.open_read_only(folder), finished, time.monotonic() - started_at)
 
 
 class BackgroundTraining:
@@ -86,7 +108,11 @@ class BackgroundTraining:
         self._config = config
         self._torch_threads = torch.get_num_threads()
         set_threads(config)
-        self.run = TrainingRun(config)
+        try:
+            self.run = TrainingRun(config)
+        except BaseException:
+            torch.set_num_threads(self._torch_threads)
+            raise
         self.report: Optional[UpdateReport] = None
         """Report of the newest update."""
         self._error: Optional[Exception] = None
