@@ -35,6 +35,14 @@ def test_missing_profile_gives_defaults(tmp_path):
     assert resolve("", override(tmp_path)).exploration.steps == 3000
 
 
+def test_related_overrides_are_checked_together(tmp_path):
+    """The duration is shorter than the default of step_duration, which is overridden too."""
+    config = resolve("demo", override(tmp_path, arm__max_duration=0.15, exploration__step_duration=0.1))
+    assert (config.arm.max_duration, config.exploration.step_duration) == (0.15, 0.1)
+    with pytest.raises(ConfigError, match="step_duration is longer than arm/max_duration"):
+        resolve("demo", override(tmp_path, arm__max_duration=0.15))
+
+
 def test_default_session_name_is_valid(tmp_path):
     world = tmp_path / "My Table (2).yaml"
     world.write_text("objects: {}\n")

@@ -15,6 +15,7 @@ from embodied_active_learning.config import (
     RECORDED,
     SIMULATED,
     Config,
+    SessionConfig,
     find_profile,
     load_profile,
     merge,
@@ -22,7 +23,7 @@ from embodied_active_learning.config import (
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import parse_yaml, short_repr
 from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
-from embodied_active_learning.schema import settings
+from embodied_active_learning.schema import check_keys, settings
 from embodied_active_learning.session.session import Session, check_session, session_path, session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 from embodied_active_learning.simulation.world import find_world, load_world
@@ -143,13 +144,15 @@ def _base(
 ) -> Dict[str, Any]:
     """Return the sections that the overrides apply to. stored: settings of a recording, if any."""
     folder = package_folder(PACKAGE) / "config"
-    given = Config.from_dict({section: changes.get(section, {}) for section in ("session", "arm")})
-    if given.session.resume:
-        path = session_path(given)
+    # Not a whole configuration, because relations between settings may hold only with the profile.
+    given = check_keys(Config, {section: changes.get(section, {}) for section in ("session", "arm")})
+    session, robot = SessionConfig(**given["session"]), given["arm"].get("robot", SIMULATED)
+    if session.resume:
+        path = session_path(Config(session=session))
         if path.is_dir():
             stored = Session.open_read_only(path).config.to_dict()
     base = stored if stored and not profile else merge(stored, load_profile(find_profile(profile or "default", folder)))
-    if not robot_profile and not stored and given.arm.robot in REAL_ROBOTS:
+    if not robot_profile and not stored and robot in REAL_ROBOTS:
         robot_profile = FRANKA
     return merge(base, load_profile(find_profile(robot_profile, folder))) if robot_profile else base
 
