@@ -41,6 +41,16 @@ def test_invalid_calibration_is_refused(values):
         Calibration(NINETEEN, values)
 
 
-def test_smallest_error_rate_still_has_a_miss_limit():
-    calibration = Calibration(NINETEEN, NINETEEN)
-    assert calibration.limits(calibration.smallest_error_rate).miss == NINETEEN[0]
+@pytest.mark.parametrize("trials", [1, 19, 48, 99, 4999])
+def test_smallest_error_rate_still_has_a_miss_limit(trials):
+    values = np.linspace(0.0, 0.9, trials)
+    calibration = Calibration(values, values)
+    assert calibration.limits(calibration.smallest_error_rate).miss == values[0]
+
+
+def test_rank_is_exact_despite_rounding():
+    """Of 99 similarities, a rate of 0.29 takes the 29th and 0.1 leaves 40 look-alikes of 100 above."""
+    values = np.linspace(0.0, 0.98, 99)
+    limits = Calibration(values, values).limits(0.29)
+    assert limits.miss == values[28]
+    assert Calibration(values, values).limits(0.1).look_alike == values[59]

@@ -31,6 +31,8 @@ _LOOK_ALIKE_SHARE = 0.25
 its object does not stand, on development data at an error rate of 5 %."""
 _MAX_RATE = 0.5
 """Largest accepted rate of look-alikes."""
+_ROUNDING = 1e-9
+"""Larger than the rounding error of a rank: 0.29 of 100 is 28.999999999999996."""
 
 
 class Limits(NamedTuple):
@@ -74,10 +76,10 @@ class Calibration:
 
     def limits(self, error_rate: float) -> Limits:
         """Return the limits at an accepted rate of errors."""
-        rank = math.floor(error_rate * (len(self.true) + 1))
+        rank = math.floor(error_rate * (len(self.true) + 1) + _ROUNDING)
         miss = float(self.true[rank - 1]) if rank else -1.0
         rate = min(_MAX_RATE, error_rate / _LOOK_ALIKE_SHARE)
-        rank = math.ceil((1.0 - rate) * (len(self.false) + 1))
+        rank = math.ceil((1.0 - rate) * (len(self.false) + 1) - _ROUNDING)
         return Limits(miss, float(self.false[rank - 1]) if rank <= len(self.false) else 1.0)
 
     def confidence(self, value: float) -> float:
