@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.simulation.lighting import LightField
 from embodied_active_learning.simulation.placed_objects import Table
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS, generate_texture
@@ -24,6 +25,15 @@ def render(pose=POSE, table=GREY, velocity=(0.0, 0.0, 0.0), **lighting):
 
 def test_lighting_is_off_by_default():
     assert np.all(render() == 102.0)
+
+
+def test_only_motion_blur_leaves_a_picture_as_it_is():
+    picture = np.full((4, 5, 3), 100, np.uint8)
+    matrix, camera = np.array([[9.0, 0.0, 2.0], [0.0, 9.0, 1.5], [0.0, 0.0, 1.0]]), np.eye(4)
+    camera[:3, 3] = (*CENTRE, 0.3)
+    assert LightField(Lighting(motion_blur=0.1), CENTRE).apply(picture, camera, matrix) is picture
+    for values in ({"brightness": 0.5}, {"gradient": 1.0}, {"shadow": 0.5}, {"white_balance": (1.0, 1.0, 0.5)}):
+        assert np.any(LightField(Lighting(**values), CENTRE).apply(picture, camera, matrix) != picture)
 
 
 def test_brightness_and_white_balance_scale_the_image():

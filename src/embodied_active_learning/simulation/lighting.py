@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Tuple
 
 import numpy as np
@@ -21,8 +22,7 @@ class LightField:
         self._lighting = lighting
         self._centre = np.asarray(centre)
         self._shadow_centre = self._centre if lighting.shadow_centre is None else np.asarray(lighting.shadow_centre)
-        neutral = lighting.brightness == 1.0 and lighting.white_balance == (1.0, 1.0, 1.0)
-        self._active = not neutral or lighting.gradient > 0.0 or lighting.shadow > 0.0
+        self._active = replace(lighting, motion_blur=0.0) != Lighting()  # the scene renders the blur
 
     def apply(self, picture: np.ndarray, camera: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         """Light a picture (H, W, 3) uint8 seen from pose (4, 4) straight above the table, with camera matrix (3, 3)."""
