@@ -20,7 +20,6 @@ from identification import Evaluation
 from identification_scenes import CONDITIONS, judge
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.identification import Identification
@@ -124,11 +123,7 @@ def explore(
                 decisions = search.decide(np.stack(states), np.stack(images))
                 due = next_evaluation(len(states), search.open_count)
                 motion.set_open_places(search.open_places)
-            command = motion.next_command()
-            if isinstance(command, VelocityCommand):
-                simulation.move(command.velocity.tolist(), command.duration)
-            else:
-                simulation.go_to(command.state.tolist())
+            simulation.execute(motion.next_command())
     return decisions
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from embodied_active_learning.config import Config, ExplorationConfig, WorkspaceConfig
 from embodied_active_learning.errors import CommandError, ConfigError
+from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import Disturbances, load_world
 
@@ -34,6 +35,14 @@ def run(world, config):
 def test_one_seed_gives_one_result(world):
     for first, second in zip(run(world, with_seed(3)), run(world, with_seed(3))):
         np.testing.assert_array_equal(first, second)
+
+
+def test_commands_of_explorers_are_executed():
+    with Simulation(WORLD, CONFIG) as simulation:
+        moved = simulation.execute(VelocityCommand(*ROUTE[0], 0.2))
+        np.testing.assert_array_equal(moved.state, run(WORLD, CONFIG)[0][0])
+        reached = simulation.execute(PoseCommand(0.45, 0.05, 0.3))
+        np.testing.assert_allclose(reached.state, (0.45, 0.05, 0.3), atol=0.005)
 
 
 def test_seed_changes_noise_only():

@@ -10,7 +10,6 @@ from typing import Callable, List, NamedTuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.ergodic_objective import target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.images import spread_indices
@@ -65,11 +64,7 @@ def follow_target(config: Config, simulation: Simulation, log_std: LogStd, steps
         samples.refresh()
         explorer.observe(workspace.normalise(simulation.pose), simulation.velocity)
         target = target_distribution(log_std(workspace.denormalise(samples.states)), 1.0)
-        command = explorer.next_command(target, samples)
-        if isinstance(command, VelocityCommand):
-            simulation.move(command.velocity.tolist(), command.duration)
-        else:
-            simulation.go_to(command.state.tolist())
+        simulation.execute(explorer.next_command(target, samples))
     return Views(np.array(states), np.array(images))
 
 

@@ -171,8 +171,7 @@ def _fill(collection: ViewCollection, simulation: Simulation) -> None:
         collection.observe(simulation.pose, simulation.velocity, simulation.image())
         if collection.complete or collection.exhausted:
             return
-        command = collection.next_command()
-        simulation.move(command.velocity.tolist(), command.duration)
+        simulation.execute(collection.next_command())
 
 
 def _sections(overrides: Mapping[str, Any]) -> Dict[str, Dict[str, Any]]:

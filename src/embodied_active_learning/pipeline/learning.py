@@ -20,7 +20,6 @@ import torch
 from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.distributed.local import LocalWorkers
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.exploration.commands import Command, VelocityCommand
 from embodied_active_learning.model.build import set_threads
 from embodied_active_learning.model.learner import UpdateReport
 from embodied_active_learning.pipeline.exploration import (
@@ -181,7 +180,7 @@ def _explore(
     measure = float("nan")
     with session.open_table("exploration") as table:
         table.truncate_after("step", len(run.trajectory))
-        _execute(simulation, first_command(config, run.trajectory))
+        simulation.execute(first_command(config, run.trajectory))
         while exploration.step < run.config.exploration.steps:
             stamp, state, velocity = ros_seconds(simulation.time), simulation.pose, simulation.velocity
             run.observe(exploration.step, stamp, state.tolist(), simulation.image())
@@ -191,7 +190,7 @@ def _explore(
             measure = metrics.ergodic_measure
             on_progress(_progress(training, measure))
             if exploration.step < run.config.exploration.steps:
-                _execute(simulation, exploration.next_command())
+                simulation.execute(exploration.next_command())
     while not run.finished:
         training.check()
         time.sleep(_PROGRESS_PERIOD)
@@ -202,13 +201,6 @@ def ros_seconds(seconds: float) -> float:
     """Return a time in seconds as a ROS time holds it: whole nanoseconds, rounded down."""
     whole = int(seconds)
     return whole + int((seconds - whole) * 1e9) / 1e9
-
-
-def _execute(simulation: Simulation, command: Command) -> None:
-    if isinstance(command, VelocityCommand):
-        simulation.move(command.velocity.tolist(), command.duration)
-    else:
-        simulation.go_to(command.state.tolist())
 
 
 def _progress(training: BackgroundTraining, ergodic_measure: float) -> Progress:

@@ -8,6 +8,7 @@ from typing import Dict, Mapping, Optional, Sequence, Tuple, Type
 import numpy as np
 
 from embodied_active_learning.config import Config
+from embodied_active_learning.exploration.commands import Command, VelocityCommand
 from embodied_active_learning.simulation.arm import MoveResult, SimulatedArm
 from embodied_active_learning.simulation.disturbance import Disturbance
 from embodied_active_learning.simulation.panda_body import StateDict
@@ -99,6 +100,12 @@ class Simulation:
     def go_to(self, pose: Sequence[float]) -> MoveResult:
         """Move to a planar pose (3,) [m, m, rad] and stop. Raises CommandError if it is invalid or not reached."""
         return self._arm.go_to(pose)
+
+    def execute(self, command: Command) -> MoveResult:
+        """Execute an explorer's command. Raises CommandError if it is invalid or not reached."""
+        if isinstance(command, VelocityCommand):
+            return self.move(command.velocity.tolist(), command.duration)
+        return self.go_to(command.state.tolist())
 
     def stop(self) -> MoveResult:
         """Stop the arm."""
