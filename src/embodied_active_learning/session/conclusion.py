@@ -26,7 +26,7 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
     updates = int(_last(training, "update") or 0)
     errors = {name: _last(evaluation, name) for name in ("mse_own", "mse_shuffled", "mse_none")}
     ergodic_measure = _last(exploration, "ergodic_measure")
-    ended = _reason_to_end(session)
+    ended, trains = _reason_to_end(session), session.config.training.updates_per_observation > 0
     return Summary(
         finished=finished,
         # A step that was interrupted after its observation has no row.
@@ -39,7 +39,7 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
         distance=_last(exploration, "distance"),
         **errors,
         ended=ended,
-        verdict=str(judge_run(updates, ergodic_measure=ergodic_measure, **errors, ended=ended)),
+        verdict=str(judge_run(updates, ergodic_measure=ergodic_measure, **errors, ended=ended, trains=trains)),
     )
 
 
