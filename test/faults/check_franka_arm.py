@@ -261,7 +261,7 @@ class FrankaArmTest(unittest.TestCase):
         self.assertFalse(answer.success)
         self.assertIn(f"another controller moves the robot: {OTHER}", answer.message)
         self.assertTrue(self.controllers("switch", [], [OTHER], 2, False, 0.0), "another node has stopped it")
-        until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        until(lambda: "the requested recovery failed" in self.move(0.0, 0.0, 0.0, 0.1).message)
         self.assertTrue(self.recover().success)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 

@@ -146,6 +146,10 @@ class Readiness:
         self._manual_hold = self._preparation_error = ""
         self.forget_reflexes()
 
+    def hold(self, reason: str) -> None:
+        """Hold the robot until `release`."""
+        self._manual_hold = reason
+
     def forget_reflexes(self) -> None:
         """Recoveries that a person has requested do not count."""
         self._reflex_hold = self._recovery_error = ""

@@ -25,6 +25,7 @@ class Lab:
         self.now = 10.0
         self.speed = 0.0  # m/s along x
         self.errors = ()
+        self.sends_poses = True
         self.starts = 0  # of the controller
         self._transform = np.eye(4)
         pose = CameraPose(tuple(CONFIG.workspace.box().centre), 0.0, (0.0, 0.0))
@@ -49,7 +50,8 @@ class Lab:
             self.now += 0.05
             self._transform[0, 3] += 0.05 * self.speed
             pose = self._transform.T.ravel()
-            self.driver.update_state(self.now, 0.0, pose, RobotMode.OTHER, self.errors, ())
+            if self.sends_poses:
+                self.driver.update_state(self.now, 0.0, pose, RobotMode.OTHER, self.errors, ())
             self.driver.tick()
         return not self.driver.why_not_ready()
 
@@ -81,6 +83,20 @@ def test_recovery_of_moving_arm_is_rejected(lab):
     lab.moves(0.0)
     lab.supervisor.recover()
     assert lab.starts == 2
+
+
+def test_failed_recovery_holds_robot(lab):
+    lab.supervisor.check()
+    lab.sends_poses = False
+    lab.passes(0.5)
+    with pytest.raises(ArmNotReadyError, match="poses of the robot are stale"):
+        lab.supervisor.recover()
+    lab.sends_poses = True
+    lab.passes(0.5)
+    lab.supervisor.check()
+    assert "the requested recovery failed (the arm is not known to be at rest: poses" in lab.driver.why_not_ready()
+    lab.supervisor.recover()
+    assert not lab.driver.why_not_ready()
 
 
 def test_too_few_requests_per_step_are_rejected(monkeypatch):

@@ -55,7 +55,7 @@ class FrankaSupervisor:
                 self._try_recover()
 
     def recover(self) -> None:
-        """Make the robot ready at the request of a person who has checked it.
+        """Make the robot ready at the request of a person who has checked it; if that fails, hold it.
 
         Raises:
             ArmNotReadyError: The robot is still not ready.
@@ -64,15 +64,24 @@ class FrankaSupervisor:
         with self._lock:
             with self._driver.lock:
                 self._driver.readiness.release()
-            self._wait_while_transient()
-            prepare = False
-            if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
-                prepare = self._clear_errors()
-            if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
-                self._prepare()  # a restarted franka_control has lost all settings
-            self._wait_while_transient()
-            if self._condition() is not Condition.READY:
-                raise ArmNotReadyError(self._driver.why_not_ready())
+            try:
+                self._make_ready()
+            except Exception as error:
+                # The person was told that it failed, and may approach: it must not become ready by itself later.
+                with self._driver.lock:
+                    self._driver.readiness.hold(f"the requested recovery failed ({error})")
+                raise
+
+    def _make_ready(self) -> None:
+        self._wait_while_transient()
+        prepare = False
+        if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
+            prepare = self._clear_errors()
+        if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
+            self._prepare()  # a restarted franka_control has lost all settings
+        self._wait_while_transient()
+        if self._condition() is not Condition.READY:
+            raise ArmNotReadyError(self._driver.why_not_ready())
 
     def update_controllers(self) -> None:
         """Pass the list of controllers and the set-points' publishers and subscribers on to the driver."""

@@ -49,7 +49,7 @@ class VelocitySupervisor:
                 rospy.logwarn("the arm cannot be moved: %s", reason)
 
     def recover(self) -> None:
-        """Make the robot ready at the request of a person who has checked it.
+        """Make the robot ready at the request of a person who has checked it; if that fails, hold it.
 
         Raises:
             ArmNotReadyError: The arm moves, or is still not ready.
@@ -58,16 +58,25 @@ class VelocitySupervisor:
         with self._lock:
             if not self._driver.why_not_ready():
                 return
-            if not self._driver.is_at_rest():
-                raise ArmNotReadyError(
-                    f"the arm is not known to be at rest: {self._driver.why_not_ready() or 'another node moves it'}"
-                )
-            self._start()
-            self._driver.update_control(errors=())
-            with self._driver.lock:
-                self._driver.readiness.release()
-            if not self._driver.wait_until_ready(_READY_TIMEOUT):
-                raise ArmNotReadyError(self._driver.why_not_ready())
+            try:
+                self._make_ready()
+            except Exception as error:
+                # The person was told that it failed, and may approach: it must not become ready by itself later.
+                with self._driver.lock:
+                    self._driver.readiness.hold(f"the requested recovery failed ({error})")
+                raise
+
+    def _make_ready(self) -> None:
+        if not self._driver.is_at_rest():
+            raise ArmNotReadyError(
+                f"the arm is not known to be at rest: {self._driver.why_not_ready() or 'another node moves it'}"
+            )
+        self._start()
+        self._driver.update_control(errors=())
+        with self._driver.lock:
+            self._driver.readiness.release()
+        if not self._driver.wait_until_ready(_READY_TIMEOUT):
+            raise ArmNotReadyError(self._driver.why_not_ready())
 
     def _start(self) -> None:
         self._interface.start(self._config.rate)
