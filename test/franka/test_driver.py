@@ -204,6 +204,20 @@ def test_go_to_of_blocked_arm_fails_with_distance():
         lab.carries_out(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), NeverStopped())
 
 
+def test_reflex_at_end_of_go_to_timeout_is_reported():
+    """The motion is aborted in the last wait before the timeout."""
+    lab = Lab()
+    lab.follows = False
+    outcome = lab.begins(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), NeverStopped())
+    with lab.driver.lock:
+        lab.now += 60.0
+        lab.mode, lab.errors = RobotMode.REFLEX, ("cartesian_reflex",)
+        lab.sees()
+        lab.driver.tick()
+    with pytest.raises(ArmFailedError, match=r"motion aborted: .*cartesian_reflex"):
+        lab.ends(outcome)
+
+
 def test_go_to_outside_workspace_is_rejected():
     lab = Lab()
     with pytest.raises(CommandError, match="outside the workspace"):

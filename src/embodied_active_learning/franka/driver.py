@@ -199,6 +199,7 @@ class FrankaDriver:
             deadline = self._clock() + timeout
             while not self._has_arrived(target):
                 self._wait(motion, stop, deadline)
+                self._require_not_aborted(motion, stop)  # the last wait may have ended by that, not by the timeout
                 if self._clock() >= deadline:
                     self._motion = SetPointMotion()
                     raise ArmFailedError(self._why_not_reached(target, timeout))
@@ -315,18 +316,21 @@ class FrankaDriver:
 
     def _wait(self, motion: SetPointMotion, stop: StopSignal, until: float) -> None:
         """Wait until the next tick or state. Raises the error that has ended the motion."""
-        if stop.is_set():
-            self._motion = self._stopping()
-            raise ArmStoppedError(f"motion aborted: the arm was stopped by {stop.by}")
-        if motion.aborted_by:
-            message = f"motion aborted: {motion.aborted_by}"
-            raise ArmStoppedError(message) if motion.needs_person else ArmFailedError(message)
+        self._require_not_aborted(motion, stop)
         if self._clock() > self._ticked_at + _TICK_TIMEOUT:
             self._motion = SetPointMotion()
             raise ArmFailedError(
                 f"no set-point was sent for {_TICK_TIMEOUT:g} s: the computer is overloaded, see /diagnostics"
             )
         self._sleep(min(_MAX_WAIT, until - self._clock()))
+
+    def _require_not_aborted(self, motion: SetPointMotion, stop: StopSignal) -> None:
+        if stop.is_set():
+            self._motion = self._stopping()
+            raise ArmStoppedError(f"motion aborted: the arm was stopped by {stop.by}")
+        if motion.aborted_by:
+            message = f"motion aborted: {motion.aborted_by}"
+            raise ArmStoppedError(message) if motion.needs_person else ArmFailedError(message)
 
     def _wait_for_rest(self) -> None:
         deadline = self._clock() + _STOP_TIMEOUT
