@@ -18,16 +18,18 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from std_msgs.msg import Header
 
 from embodied_active_learning.config import FrankaConfig
-from embodied_active_learning.errors import RobotError
+from embodied_active_learning.errors import RobotError, ServiceError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller
 from embodied_active_learning.geometry import quaternion
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.runtime.services import TRANSPORT_ERRORS, is_advertised, log_service_wait
+from embodied_active_learning.ros.runtime.services import is_advertised, log_service_wait
+from embodied_active_learning.ros.runtime.timed_service import call_within
 
 _RECOVERY_TIMEOUT = 20.0  # s of wall time
 _CANCEL_TIMEOUT = 1.0  # s of wall time that a cancelled recovery may take to end
-_SWITCH_TIMEOUT = 5.0  # s that controller_manager may take to switch
+_SERVER_TIMEOUT = 5.0  # s of wall time
+_CALL_TIMEOUT = 10.0  # s of wall time: loading or switching a controller may take several
 _STIFFNESS_TOLERANCE = 1e-6  # N/m, Nm/rad
 # Interfaces of ros_control through which a controller cannot move the robot.
 _READ_ONLY = ("JointStateInterface", "FrankaStateInterface", "FrankaModelInterface")
@@ -41,6 +43,7 @@ class FrankaInterface:
         self._mount = mount
         self._on_state = on_state
         self._load_mass: Optional[float] = None
+        self._other_publishers: List[str] = []
         self._set_points = rospy.Publisher(names.FRANKA_SET_POINT, PoseStamped, queue_size=1, tcp_nodelay=True)
         self._recovery = actionlib.SimpleActionClient(names.FRANKA_RECOVERY, ErrorRecoveryAction)
         self._subscriber = rospy.Subscriber(
@@ -60,14 +63,18 @@ class FrankaInterface:
         self._set_points.publish(PoseStamped(header, pose))
 
     def other_publishers(self) -> List[str]:
-        """Return the names of other nodes that publish set-points, as known to the master."""
+        """Return the names of other nodes that publish set-points, as last known to the master."""
         topic = rospy.resolve_name(names.FRANKA_SET_POINT)
         try:
             _, _, (publishers, _, _) = rospy.get_master().getSystemState()
         except OSError as error:
+            # Connections outlive the master: those that were known may still send.
             rospy.logdebug("no response from the ROS master: %s", error)
-            return []
-        return [node for name, nodes in publishers if name == topic for node in nodes if node != rospy.get_name()]
+            return self._other_publishers
+        self._other_publishers = [
+            node for name, nodes in publishers if name == topic for node in nodes if node != rospy.get_name()
+        ]
+        return self._other_publishers
 
     def controllers(self) -> Dict[str, Controller]:
         """Return the loaded controllers by name."""
@@ -140,7 +147,7 @@ class FrankaInterface:
     def recover(self) -> None:
         """Recover the robot from its errors; franka_control then restarts the running controllers."""
         action = rospy.resolve_name(names.FRANKA_RECOVERY)
-        if not self._recovery.wait_for_server(rospy.Duration(_SWITCH_TIMEOUT)):
+        if not self._recovery.wait_for_server(rospy.Duration(_SERVER_TIMEOUT)):
             raise RobotError(f"{action} is not available: is franka_control running?")
         with log_service_wait(action):
             state = self._recovery.send_goal_and_wait(
@@ -198,13 +205,10 @@ def _moves(controller: Any) -> bool:
 
 
 def _call(name: str, service_class: Any, *arguments: Any, **fields: Any) -> Any:
-    resolved = rospy.resolve_name(name)
     try:
-        with log_service_wait(resolved):
-            rospy.wait_for_service(resolved, timeout=_SWITCH_TIMEOUT)
-            return rospy.ServiceProxy(resolved, service_class)(*arguments, **fields)
-    except TRANSPORT_ERRORS as error:
-        raise RobotError(f"no response from {resolved}: {error}; is franka_control running?") from error
+        return call_within(_CALL_TIMEOUT, name, service_class, service_class._request_class(*arguments, **fields))
+    except ServiceError as error:
+        raise RobotError(f"{error}; is franka_control running?") from error
 
 
 def _require(name: str, response: Any) -> None:

@@ -70,12 +70,16 @@ class RetryingService:
             self._proxy = None
 
     def _close(self) -> None:
-        """Interrupt a call by closing its socket; rospy has no other way to cancel one."""
         self._closed = True
-        transport = getattr(self._proxy, "transport", None)
-        if transport is not None:
-            with suppress(OSError, AttributeError):  # closed meanwhile
-                transport.socket.shutdown(socket.SHUT_RDWR)
+        interrupt_call(self._proxy)
+
+
+def interrupt_call(proxy: Any) -> None:
+    """Interrupt the call of a persistent proxy, if any, by closing its socket; rospy has no other way to cancel one."""
+    transport = getattr(proxy, "transport", None)
+    if transport is not None:
+        with suppress(OSError, AttributeError):  # closed meanwhile
+            transport.socket.shutdown(socket.SHUT_RDWR)
 
 
 def is_advertised(name: str) -> bool:
