@@ -43,7 +43,6 @@ class Loop:
         self._advance(3.0)
         self.driver = FrankaDriver(config, lambda: self.now)
         self.driver.readiness.set_prepared()
-        self.driver.update_control(controllers={CONTROLLER: Controller("running", True)})
         self._state_at = self.now
         self.rates = []
         self.passes(0.2)
@@ -64,6 +63,7 @@ class Loop:
                 hand = self.robot.hand
                 pose = matrix_of(hand.position, hand.orientation).T.ravel()
                 self.driver.update_state(self.now, 0.0, pose, RobotMode.MOVE, (), ())
+            self.driver.update_control(controllers={CONTROLLER: Controller("running", True)})
             set_point = self.driver.tick()
             if set_point is not None:
                 matrix = np.eye(4)

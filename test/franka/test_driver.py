@@ -82,7 +82,6 @@ class Lab:
         self.push = 0.0  # m/s along y, by hand
         self.sent = []
         self._outcome = None  # of the last command
-        self.driver.update_control(controllers=RUNNING)
         self.passes(0.05)
 
     def end_effector(self):
@@ -104,6 +103,7 @@ class Lab:
     def _tick(self):
         with self.driver.lock:  # a command that wakes up sees whole ticks only
             self.now += PERIOD
+            self.driver.update_control(controllers=RUNNING)
             set_point = self.driver.tick()
             self.sent.append(set_point)
             if set_point is not None and self.follows:
@@ -287,6 +287,19 @@ def test_reflex_aborts_move_and_rejects_later_commands():
         lab.carries_out(lab.driver.move, (0.1, 0.0, 0.0), 0.2, NeverStopped())
 
 
+def test_reflex_at_end_of_move_is_reported():
+    """The motion is aborted in the last wait before its end."""
+    lab = Lab()
+    outcome = lab.starts_moving()
+    with lab.driver.lock:
+        lab.now += 1.0
+        lab.mode, lab.errors = RobotMode.REFLEX, ("cartesian_reflex",)
+        lab.sees()
+        lab.driver.tick()
+    with pytest.raises(ArmFailedError, match=r"motion aborted: .*cartesian_reflex"):
+        lab.ends(outcome)
+
+
 def test_user_stop_aborts_move_until_recovery():
     lab = Lab()
     outcome = lab.starts_moving()
@@ -359,9 +372,36 @@ def test_set_point_does_not_follow_arm_after_failed_stop():
 def test_move_fails_when_ticks_end():
     lab = Lab()
     outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())
-    lab.now += 0.6
-    with pytest.raises(ArmFailedError, match=r"no set-point was sent for 0\.5 s"):
+    with lab.driver.lock:
+        lab.now += 0.6
+        lab.sees()
+    with pytest.raises(ArmFailedError, match=r"aborted: no set-point was sent for 0\.6 s"):
         lab.ends(outcome)
+
+
+def test_robot_without_ticks_is_not_ready():
+    lab = Lab()
+    lab.now += 0.6
+    lab.sees()
+    assert "no set-point was sent for 0.6 s" in lab.driver.why_not_ready()
+    with pytest.raises(ArmFailedError, match="unknown whether the arm is at rest: no set-point was sent"):
+        lab.driver.stop()
+    lab.passes(0.2)
+    assert lab.driver.why_not_ready() == ""
+
+
+def test_outdated_list_of_controllers_aborts_move():
+    """The supervisor hangs: another controller may have been started."""
+    lab = Lab()
+    outcome = lab.starts_moving()
+    with lab.driver.lock:
+        lab.now += 3.1
+        lab.sees()
+        lab.driver.tick()
+    with pytest.raises(ArmFailedError, match=r"controllers and publishers of set-points are unknown for 3\.1 s"):
+        lab.ends(outcome)
+    lab.passes(0.1)
+    assert lab.driver.why_not_ready() == ""
 
 
 @pytest.mark.parametrize(

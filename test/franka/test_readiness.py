@@ -70,6 +70,9 @@ def test_robot_under_our_controller_alone_is_ready():
         ({"controllers": {}}, Condition.STOPPED, "call /arm/recover to start it again"),
         ({"has_subscriber": False}, Condition.NO_SUBSCRIBER, "does not subscribe"),
         ({"mode": RobotMode.IDLE}, Condition.STARTING, "does not follow it yet"),
+        ({"control_age": 3.1}, Condition.OUTDATED_CONTROL, "unknown for 3.1 s"),
+        ({"control_age": 3.1, "controllers": None}, Condition.NO_CONTROLLER_MANAGER, "no response"),
+        ({"tick_age": 0.6}, Condition.NO_SET_POINTS, "no set-point was sent for 0.6 s"),
     ],
 )
 def test_condition_and_explanation_of_each_problem(fields, condition, words):
@@ -207,6 +210,14 @@ def test_failed_preparation_is_retried_after_release():
     assert robot.explanation == "set_load rejected"
     assert not robot.readiness.needs_preparation
     robot.readiness.release()
+    assert robot.readiness.needs_preparation
+
+
+def test_failed_preparation_may_be_retried_automatically():
+    robot = Robot(ready=False)
+    robot.reports(controllers={}, mode=RobotMode.IDLE)
+    robot.readiness.set_unprepared("no response", retry=True)
+    assert robot.explanation == "no response"
     assert robot.readiness.needs_preparation
 
 

@@ -1,5 +1,6 @@
 """The supervisor prepares and recovers the robot: requests to franka_ros, recorded by an interface without ROS."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from embodied_active_learning.franka.driver import FrankaDriver
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Condition, Controller, RobotMode
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.arm import requested_recovery
 from fake_franka.generate import use_messages
 
 CONFIG = Config.from_dict({"arm": {"robot": "franka"}})
@@ -102,7 +104,7 @@ def lab(monkeypatch):
             driver.tick()
 
     monkeypatch.setattr(franka_supervisor, "WallTimer", lambda period, function: None)
-    monkeypatch.setattr(franka_supervisor, "threading", SimpleNamespace(Lock=_Lock, Thread=_NoThread))
+    monkeypatch.setattr(franka_supervisor, "threading", SimpleNamespace(Lock=threading.Lock, Thread=_NoThread))
     monkeypatch.setattr(franka_supervisor, "time", SimpleNamespace(monotonic=lambda: clock.now, sleep=passes))
     monkeypatch.setattr(driver, "wait_until_ready", passes)
     supervisor = franka_supervisor.FrankaSupervisor(interface, driver, CONFIG.franka)
@@ -125,14 +127,6 @@ def requests(monkeypatch):
 
     monkeypatch.setattr(franka_interface, "_call", call)
     return sent
-
-
-class _Lock:
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_exception):
-        return None
 
 
 class _NoThread:
@@ -255,6 +249,15 @@ def test_recovery_during_user_stop_is_rejected(lab):
     with pytest.raises(ArmNotReadyError, match="user stop is pressed"):
         lab.supervisor.recover()
     assert lab.interface.calls == []
+
+
+def test_recovery_is_rejected_while_supervisor_is_busy(lab, monkeypatch):
+    """A request to controller_manager hangs: the person gets an error instead of no response."""
+    monkeypatch.setattr(requested_recovery, "LOCK_TIMEOUT", 0.0)
+    prepared(lab)
+    with lab.supervisor._lock, pytest.raises(ArmNotReadyError, match="call /arm/recover again later"):
+        lab.supervisor.recover()
+    assert condition(lab) is Condition.READY, "nothing was changed"
 
 
 def test_failed_recovery_after_user_stop_holds_robot(lab):

@@ -20,7 +20,7 @@ from embodied_active_learning.errors import ArmFailedError, ArmNotReadyError, Ar
 from embodied_active_learning.franka.explanation import why_not_ready
 from embodied_active_learning.franka.motions import GoTo, Move, Retreat, SetPointMotion
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
-from embodied_active_learning.franka.readiness import Readiness
+from embodied_active_learning.franka.readiness import TICK_TIMEOUT, Readiness
 from embodied_active_learning.franka.report import Condition, Report
 from embodied_active_learning.franka.set_points import SetPointStream, Tracking
 from embodied_active_learning.franka.start_check import require_startable
@@ -28,13 +28,12 @@ from embodied_active_learning.franka.state_history import StateHistory
 
 AT_REST = (0.005, 0.005, 0.03)
 """m/s, m/s, rad/s: measured speeds up to these count as rest."""
-_TICK_TIMEOUT = 0.5  # s without a tick after which a command is given up
 _SETTLING_TIME = 4.0  # s that an impedance controller may take to draw the arm to its last set-point
 _AT_TARGET, _TURN_AT_TARGET = 1e-4, 1e-3  # m, rad: a set-point this close to its target has arrived
 _STOP_TIMEOUT = 3.0  # s within which a braking arm has to come to rest; less than a node has to shut down
 _MAX_WAIT = 0.05  # s between two checks of a waiting command
 _NEEDS_PERSON = (Condition.USER_STOPPED, Condition.GUIDED, Condition.RECOVERY_REQUIRED)
-_UNKNOWN_MOTION = (Condition.NO_STATE, Condition.STALE, Condition.UNUSABLE)
+_UNKNOWN_MOTION = (Condition.NO_STATE, Condition.STALE, Condition.UNUSABLE, Condition.NO_SET_POINTS)
 
 
 class Reached(NamedTuple):
@@ -79,7 +78,7 @@ class FrankaDriver:
         self._stamp = 0.0
         self._jump = ""
         self._motion = SetPointMotion()
-        self._ticked_at = clock()
+        self._ticked_at = self._controlled_at = clock()
         self._displaced = False
         self.jumps = 0
         self.displacements = 0
@@ -137,6 +136,7 @@ class FrankaDriver:
     def update_control(self, **fields: Any) -> None:
         """Process what is known of controllers, publishers and subscribers of set-points: fields of Report."""
         with self._changed:
+            self._controlled_at = self._clock()
             self._report = self._report._replace(**fields)
             self._update_readiness()
             self._changed.notify_all()
@@ -199,7 +199,6 @@ class FrankaDriver:
             deadline = self._clock() + timeout
             while not self._has_arrived(target):
                 self._wait(motion, stop, deadline)
-                self._require_not_aborted(motion, stop)  # the last wait may have ended by that, not by the timeout
                 if self._clock() >= deadline:
                     self._motion = SetPointMotion()
                     raise ArmFailedError(self._why_not_reached(target, timeout))
@@ -297,8 +296,10 @@ class FrankaDriver:
 
     def _update_readiness(self) -> Readiness:
         """Evaluate the readiness now: states age without any event."""
-        age = None if self._received_at is None else self._clock() - self._received_at
-        self._readiness.update(self._report._replace(age=age))
+        now = self._clock()
+        age = None if self._received_at is None else now - self._received_at
+        control_age, tick_age = now - self._controlled_at, now - self._ticked_at
+        self._readiness.update(self._report._replace(age=age, control_age=control_age, tick_age=tick_age))
         return self._readiness
 
     def _why_not_ready(self) -> str:
@@ -317,12 +318,12 @@ class FrankaDriver:
     def _wait(self, motion: SetPointMotion, stop: StopSignal, until: float) -> None:
         """Wait until the next tick or state. Raises the error that has ended the motion."""
         self._require_not_aborted(motion, stop)
-        if self._clock() > self._ticked_at + _TICK_TIMEOUT:
+        if self._clock() > self._ticked_at + TICK_TIMEOUT:
             self._motion = SetPointMotion()
-            raise ArmFailedError(
-                f"no set-point was sent for {_TICK_TIMEOUT:g} s: the computer is overloaded, see /diagnostics"
-            )
+            self._update_readiness()
+            raise ArmFailedError(f"motion aborted: {self._why_not_ready()}")
         self._sleep(min(_MAX_WAIT, until - self._clock()))
+        self._require_not_aborted(motion, stop)  # the caller may not wait again
 
     def _require_not_aborted(self, motion: SetPointMotion, stop: StopSignal) -> None:
         if stop.is_set():

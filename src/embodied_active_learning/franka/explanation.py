@@ -61,6 +61,13 @@ def _why_other_publisher(readiness: Readiness, _config: FrankaConfig) -> str:
     )
 
 
+def _why_outdated(readiness: Readiness, _config: FrankaConfig) -> str:
+    return (
+        f"controllers and publishers of set-points are unknown for {readiness.report.control_age:.1f} s: "
+        "controller_manager or the ROS master does not respond; check franka_control"
+    )
+
+
 _DETAILED: Dict[Condition, Callable[[Readiness, FrankaConfig], str]] = {
     Condition.STALE: _why_stale,
     Condition.UNUSABLE: lambda readiness, _: f"unusable robot state: {readiness.report.problem}",
@@ -68,5 +75,9 @@ _DETAILED: Dict[Condition, Callable[[Readiness, FrankaConfig], str]] = {
     Condition.REFLEX: _why_reflex,
     Condition.OTHER_CONTROLLER: _why_other_controller,
     Condition.OTHER_PUBLISHER: _why_other_publisher,
+    Condition.OUTDATED_CONTROL: _why_outdated,
+    Condition.NO_SET_POINTS: lambda readiness, _: (
+        f"no set-point was sent for {readiness.report.tick_age:.1f} s: the computer is overloaded, see /diagnostics"
+    ),
     Condition.UNPREPARED: lambda readiness, _: readiness.preparation_error or f"{CONTROLLER} is not started yet",
 }

@@ -16,6 +16,10 @@ RESET_AFTER = 20.0
 """Seconds of readiness after which earlier reflexes no longer count."""
 GRACE = 1.0
 """Seconds that the control loop may take to start after its controller was started."""
+TICK_TIMEOUT = 0.5
+"""Seconds without a tick after which a command is given up."""
+CONTROL_TIMEOUT = 3.0
+"""Seconds after which the list of controllers and of publishers of set-points is outdated."""
 
 
 class Readiness:
@@ -35,6 +39,7 @@ class Readiness:
         self._reflex_hold = ""
         self._prepared = False
         self._preparation_error = ""
+        self._retries_preparation = False
         self._recovering = False
         self._was_ready = False
         self._ready_since: Optional[float] = None
@@ -78,7 +83,8 @@ class Readiness:
     @property
     def needs_preparation(self) -> bool:
         """Whether collision behaviour, load and stiffness have to be set and the controller started, and may be."""
-        return self._condition is Condition.UNPREPARED and not self._preparation_error
+        may_prepare = self._retries_preparation or not self._preparation_error
+        return self._condition is Condition.UNPREPARED and may_prepare
 
     @property
     def needs_recovery(self) -> bool:
@@ -125,9 +131,9 @@ class Readiness:
         self._prepared, self._preparation_error = True, ""
         self._uncontrolled_since = None
 
-    def set_unprepared(self, error: str) -> None:
-        """Record that the preparation failed; it is retried after `release`."""
-        self._prepared, self._preparation_error = False, error
+    def set_unprepared(self, error: str, retry: bool = False) -> None:
+        """Record that the preparation failed; it is retried after `release`, or automatically."""
+        self._prepared, self._preparation_error, self._retries_preparation = False, error, retry
 
     def begin_recovery(self) -> None:
         """Record that a recovery has started."""
@@ -182,7 +188,9 @@ class Readiness:
         if self.has_error:
             # Older states may still arrive after a recovery.
             return Condition.STARTING if now < self._recovered_at + GRACE else self._evaluate_reflex()
-        return self._evaluate_control(report, now)
+        condition = self._evaluate_control(report, now)
+        is_silent = condition is Condition.READY and report.tick_age > TICK_TIMEOUT
+        return Condition.NO_SET_POINTS if is_silent else condition
 
     def _evaluate_reflex(self) -> Condition:
         """Recover automatically if this is allowed, or else hold the robot."""
@@ -207,6 +215,8 @@ class Readiness:
             (Condition.OTHER_PUBLISHER, bool(report.publishers)),
             (Condition.UNPREPARED, not self._prepared),
             (Condition.STOPPED, ours is None or not ours.is_active),
+            # Last: while the robot is being prepared, its controllers are not listed.
+            (Condition.OUTDATED_CONTROL, report.control_age > CONTROL_TIMEOUT),
         )
         if found is not None:
             self._uncontrolled_since = None

@@ -39,6 +39,8 @@ class Condition(enum.Enum):
     STOPPED = "controller stopped"
     NO_SUBSCRIBER = "no subscriber to set-points"
     STARTING = "starting"
+    OUTDATED_CONTROL = "outdated list of controllers"
+    NO_SET_POINTS = "no set-points"
     READY = "ready"
 
 
@@ -66,6 +68,8 @@ class Report(NamedTuple):
     controllers: Optional[Mapping[str, Controller]] = None  # by name; None while controller_manager does not respond
     publishers: Sequence[str] = ()  # other nodes that publish set-points
     has_subscriber: bool = True  # whether any node subscribes to our set-points
+    control_age: float = 0.0  # since the three above were requested
+    tick_age: float = 0.0  # since the thread that sends set-points has last computed one
 
     @property
     def error_names(self) -> str:

@@ -48,4 +48,9 @@ def why_not_ready(readiness: Readiness, config: FrankaConfig) -> str:
             f"{readiness.held_for}: remove the cause, clear a reflex (rostopic pub -1 "
             "/franka_control/error_recovery/goal franka_msgs/ErrorRecoveryActionGoal '{}'), then call /arm/recover"
         )
+    if condition is Condition.NO_SET_POINTS:
+        return (
+            f"no velocity was sent for {report.tick_age:.1f} s: the velocity service does not respond, or the computer "
+            "is overloaded; see the log of the robot's node and /diagnostics"
+        )
     return readiness.preparation_error or "the velocity controller is not started yet"

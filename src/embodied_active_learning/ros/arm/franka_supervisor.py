@@ -13,6 +13,7 @@ from embodied_active_learning.errors import ArmNotReadyError, RobotError
 from embodied_active_learning.franka.driver import FrankaDriver
 from embodied_active_learning.franka.report import CONTROLLER, Condition
 from embodied_active_learning.ros.arm.franka_interface import FrankaInterface
+from embodied_active_learning.ros.arm.requested_recovery import requested_recovery
 from embodied_active_learning.ros.runtime.timers import WallTimer
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 
@@ -58,30 +59,21 @@ class FrankaSupervisor:
         """Make the robot ready at the request of a person who has checked it; if that fails, hold it.
 
         Raises:
-            ArmNotReadyError: The robot is still not ready.
+            ArmNotReadyError: The robot is still not ready, or is being prepared or recovered.
             RobotError: The robot rejected a request.
         """
-        with self._lock:
+        with requested_recovery(self._driver, self._lock):
             with self._driver.lock:
                 self._driver.readiness.release()
-            try:
-                self._make_ready()
-            except Exception as error:
-                # The person was told that it failed, and may approach: it must not become ready by itself later.
-                with self._driver.lock:
-                    self._driver.readiness.hold(f"the requested recovery failed ({error})")
-                raise
-
-    def _make_ready(self) -> None:
-        self._wait_while_transient()
-        prepare = False
-        if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
-            prepare = self._clear_errors()
-        if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
-            self._prepare()  # a restarted franka_control has lost all settings
-        self._wait_while_transient()
-        if self._condition() is not Condition.READY:
-            raise ArmNotReadyError(self._driver.why_not_ready())
+            self._wait_while_transient()
+            prepare = False
+            if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
+                prepare = self._clear_errors()
+            if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
+                self._prepare()  # a restarted franka_control has lost all settings
+            self._wait_while_transient()
+            if self._condition() is not Condition.READY:
+                raise ArmNotReadyError(self._driver.why_not_ready())
 
     def update_controllers(self) -> None:
         """Pass the list of controllers and the set-points' publishers and subscribers on to the driver."""

@@ -1,0 +1,37 @@
+"""Recovery of a robot at a person's request: not at the same time as an automatic one, and held if it fails."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+from typing import Iterator
+
+from embodied_active_learning.errors import ArmNotReadyError
+from embodied_active_learning.franka.driver import FrankaDriver
+
+LOCK_TIMEOUT = 5.0
+"""Wall seconds that a preparation or recovery in progress may take to end."""
+
+
+@contextmanager
+def requested_recovery(driver: FrankaDriver, lock: threading.Lock) -> Iterator[None]:
+    """Hold a supervisor's lock during the block, and hold the robot if the block fails.
+
+    The person was told that it failed, and may approach: the robot must not become ready later by itself.
+
+    Raises ArmNotReadyError if the lock is not free in time.
+    """
+    if not lock.acquire(timeout=LOCK_TIMEOUT):
+        why = driver.why_not_ready()
+        raise ArmNotReadyError(
+            f"the robot is being prepared or recovered, or does not respond{f' ({why})' if why else ''}: call "
+            "/arm/recover again later"
+        )
+    try:
+        yield
+    except Exception as error:
+        with driver.lock:
+            driver.readiness.hold(f"the requested recovery failed ({error})")
+        raise
+    finally:
+        lock.release()
