@@ -2,7 +2,7 @@
 """Simulates the paper's velocity service on a Panda, and usb_cam: the same services and topics, in real time.
 
 Private parameters as of fake_franka_node.py: world, camera, framerate, encoding, image_width, image_height. Services:
-fake_velocity_service/stop_robot, silence_poses (SetBool) and truth (Trigger, JSON).
+fake_velocity_service/stop_robot, silence_poses, hang (SetBool) and truth (Trigger, JSON).
 """
 
 import embodied_active_learning.ros.runtime.startup  # noqa: F401  before the slow imports
@@ -48,6 +48,8 @@ class FakeVelocityService:
         self._lock = threading.Lock()
         self._advanced_at = time.monotonic()
         self._is_silent = False
+        self._responds = threading.Event()  # whether the velocity service does
+        self._responds.set()
         matrix = np.eye(4)
         pose = CameraPose(tuple(map(float, config.workspace.box().centre)), 0.0, (0.0, 0.0))
         matrix[:3, 3], matrix[:3, :3] = self._mount.end_effector(pose)
@@ -58,6 +60,7 @@ class FakeVelocityService:
         rospy.Service(names.VELOCITY_START, StartVelocityControl, self._start)
         rospy.Service("fake_velocity_service/stop_robot", SetBool, self._stop_robot)
         rospy.Service("fake_velocity_service/silence_poses", SetBool, self._silence)
+        rospy.Service("fake_velocity_service/hang", SetBool, self._hang)
         rospy.Service("fake_velocity_service/truth", Trigger, self._truth)
         Every(lambda: RATE, self._publish)
 
@@ -81,6 +84,7 @@ class FakeVelocityService:
             self._poses.publish(message)
 
     def _command(self, request):
+        self._responds.wait()
         pose, twist = self._pose(), request.desired_vel
         linear, angular = ([one.x, one.y, one.z] for one in (twist.linear, twist.angular))
         with self._lock:
@@ -97,6 +101,10 @@ class FakeVelocityService:
 
     def _silence(self, request):
         self._is_silent = request.data
+        return SetBoolResponse(True, "")
+
+    def _hang(self, request):
+        (self._responds.clear if request.data else self._responds.set)()
         return SetBoolResponse(True, "")
 
     def _truth(self, _request):

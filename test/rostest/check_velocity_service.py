@@ -49,6 +49,7 @@ class VelocityServiceTest(unittest.TestCase):
     def setUp(self):
         self.switch("stop_robot", False)
         self.switch("silence_poses", False)
+        self.switch("hang", False)
         until(lambda: self.recover().success)
         until(lambda: self.go_to(*CENTRE).success)
 
@@ -97,6 +98,17 @@ class VelocityServiceTest(unittest.TestCase):
         self.assertEqual(answers[0].cause, ArmCause.STOPPED)
         self.assertFalse(self.recover().success)
         self.switch("stop_robot", False)
+        self.assertFalse(self.move(0.01, 0.0, 0.0, 0.1).success)
+        until(lambda: self.recover().success)
+        self.assertTrue(self.move(0.01, 0.0, 0.0, 0.1).success)
+
+    def test_hanging_service_ends_move_and_is_named(self):
+        thread, answers = self.start_moving()
+        self.switch("hang", True)
+        thread.join(TIMEOUT)
+        self.assertIn("no response from /klerg_cmd: none within 0.4 s", answers[0].message)
+        self.assertIn("/klerg_cmd", self.recover().message)
+        self.switch("hang", False)
         self.assertFalse(self.move(0.01, 0.0, 0.0, 0.1).success)
         until(lambda: self.recover().success)
         self.assertTrue(self.move(0.01, 0.0, 0.0, 0.1).success)

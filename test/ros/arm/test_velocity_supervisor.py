@@ -7,12 +7,12 @@ import pytest
 import rospy
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import ArmNotReadyError, RobotError
+from embodied_active_learning.errors import ArmNotReadyError, RobotError, ServiceError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import RobotMode
 from embodied_active_learning.franka.velocity_tracking import velocity_driver
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.arm import velocity_supervisor
+from embodied_active_learning.ros.arm import requested_recovery, velocity_supervisor
 from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
 
 CONFIG = Config.from_dict({"arm": {"robot": "velocity_service"}})
@@ -32,12 +32,15 @@ class Lab:
         self._transform[:3, 3], self._transform[:3, :3] = CameraMount.from_config(CONFIG).end_effector(pose)
         self.driver = velocity_driver(CONFIG, lambda: self.now)
         self.driver.wait_until_ready = self.passes
-        interface = SimpleNamespace(is_available=True, start=self.start)
+        self.start_error = None
+        interface = SimpleNamespace(start=self.start)
         self.supervisor = velocity_supervisor.VelocitySupervisor(interface, self.driver, CONFIG.franka)
         self.passes(0.3)
 
     def start(self, rate):
         assert rate == CONFIG.franka.rate
+        if self.start_error is not None:
+            raise self.start_error
         self.starts += 1
 
     def moves(self, speed):
@@ -97,6 +100,54 @@ def test_failed_recovery_holds_robot(lab):
     assert "the requested recovery failed (the arm is not known to be at rest: poses" in lab.driver.why_not_ready()
     lab.supervisor.recover()
     assert not lab.driver.why_not_ready()
+
+
+def test_reason_for_missing_start_is_reported(lab):
+    lab.moves(0.02)
+    lab.supervisor.check()
+    assert "started once the arm is at rest" in lab.driver.why_not_ready()
+    lab.moves(0.0)
+    lab.start_error = ServiceError("no response from /klerg_start_pose: it is not advertised")
+    lab.supervisor.check()
+    assert lab.driver.why_not_ready() == str(lab.start_error)
+
+
+def test_start_is_retried_if_service_does_not_respond(lab):
+    lab.start_error = ServiceError("no response")
+    lab.supervisor.check()
+    lab.start_error = None
+    lab.supervisor.check()
+    assert lab.starts == 1
+
+
+def test_start_that_robot_rejects_is_not_retried(lab):
+    lab.start_error = RobotError("the robot does not follow")
+    lab.supervisor.check()
+    lab.start_error = None
+    lab.supervisor.check()
+    assert lab.starts == 0
+
+
+def test_recovery_is_rejected_while_supervisor_is_busy(lab, monkeypatch):
+    monkeypatch.setattr(requested_recovery, "LOCK_TIMEOUT", 0.0)
+    with lab.supervisor._lock, pytest.raises(ArmNotReadyError, match="call /arm/recover again later"):
+        lab.supervisor.recover()
+
+
+@pytest.mark.parametrize("step", ["fast", None, [0.2]])
+def test_step_that_is_no_number_is_reported(monkeypatch, step):
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: step)
+    with pytest.raises(RobotError, match=r"parameter /dt is .*, not seconds"):
+        VelocityInterface.start(None, 100.0)
+
+
+def test_missing_master_is_reported(monkeypatch):
+    def refuse(name, default):
+        raise ConnectionRefusedError("refused")
+
+    monkeypatch.setattr(rospy, "get_param", refuse)
+    with pytest.raises(ServiceError, match="no response from the ROS master: refused"):
+        VelocityInterface.start(None, 100.0)
 
 
 def test_too_few_requests_per_step_are_rejected(monkeypatch):

@@ -8,8 +8,9 @@ import time
 import rospy
 
 from embodied_active_learning.config import FrankaConfig
-from embodied_active_learning.errors import ArmNotReadyError, RobotError
+from embodied_active_learning.errors import ArmNotReadyError, RobotError, ServiceError
 from embodied_active_learning.franka.driver import FrankaDriver
+from embodied_active_learning.ros.arm.requested_recovery import requested_recovery
 from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
 from embodied_active_learning.ros.runtime.timers import WallTimer
@@ -34,49 +35,45 @@ class VelocitySupervisor:
     def check(self) -> None:
         """Start the controller once it can be; log what prevents the arm from moving."""
         with self._lock:
-            reason = self._driver.why_not_ready()
             with self._driver.lock:
                 is_due = self._driver.readiness.needs_preparation
-            if is_due and self._driver.is_at_rest() and self._interface.is_available:
-                try:
-                    self._start()
-                    reason = ""
-                except RobotError as error:
-                    reason = str(error)
-                    with self._driver.lock:
-                        self._driver.readiness.set_unprepared(reason)
-            if reason and self._throttle.should_log(reason):
-                rospy.logwarn("the arm cannot be moved: %s", reason)
+            if is_due:
+                self._try_start()
+        reason = self._driver.why_not_ready()
+        if reason and self._throttle.should_log(reason):
+            rospy.logwarn("the arm cannot be moved: %s", reason)
 
     def recover(self) -> None:
         """Make the robot ready at the request of a person who has checked it; if that fails, hold it.
 
         Raises:
-            ArmNotReadyError: The arm moves, or is still not ready.
+            ArmNotReadyError: The arm moves, is still not ready, or is being started.
             RobotError: The robot does not follow.
+            ServiceError: The robot's node does not respond.
         """
-        with self._lock:
+        with requested_recovery(self._driver, self._lock):
             if not self._driver.why_not_ready():
                 return
-            try:
-                self._make_ready()
-            except Exception as error:
-                # The person was told that it failed, and may approach: it must not become ready by itself later.
-                with self._driver.lock:
-                    self._driver.readiness.hold(f"the requested recovery failed ({error})")
-                raise
+            if not self._driver.is_at_rest():
+                raise ArmNotReadyError(
+                    f"the arm is not known to be at rest: {self._driver.why_not_ready() or 'another node moves it'}"
+                )
+            self._start()
+            self._driver.update_control(errors=())
+            with self._driver.lock:
+                self._driver.readiness.release()
+            if not self._driver.wait_until_ready(_READY_TIMEOUT):
+                raise ArmNotReadyError(self._driver.why_not_ready())
 
-    def _make_ready(self) -> None:
-        if not self._driver.is_at_rest():
-            raise ArmNotReadyError(
-                f"the arm is not known to be at rest: {self._driver.why_not_ready() or 'another node moves it'}"
-            )
-        self._start()
-        self._driver.update_control(errors=())
-        with self._driver.lock:
-            self._driver.readiness.release()
-        if not self._driver.wait_until_ready(_READY_TIMEOUT):
-            raise ArmNotReadyError(self._driver.why_not_ready())
+    def _try_start(self) -> None:
+        try:
+            if not self._driver.is_at_rest():
+                raise ServiceError("the velocity controller is started once the arm is at rest: stop what moves it")
+            self._start()
+        except (RobotError, ServiceError) as error:
+            with self._driver.lock:
+                # What the robot rejects needs a person; what does not respond yet does not.
+                self._driver.readiness.set_unprepared(str(error), retry=isinstance(error, ServiceError))
 
     def _start(self) -> None:
         self._interface.start(self._config.rate)
