@@ -1,4 +1,4 @@
-"""Config check: a Panda under franka_ros accepts commands only from a system that was configured for it."""
+"""Config check: a real arm accepts commands only from a system that was configured for it."""
 
 from __future__ import annotations
 
