@@ -42,7 +42,7 @@ class Loop:
         self.robot.change_controllers(moves_the_arm=True, impedance=True)
         self._advance(3.0)
         self.driver = FrankaDriver(config, lambda: self.now)
-        self.driver.readiness.set_prepared()
+        self.driver._readiness.set_prepared()
         self._state_at = self.now
         self.rates = []
         self.passes(0.2)
@@ -56,7 +56,7 @@ class Loop:
             self._tick()
 
     def _tick(self):
-        with self.driver.lock:  # a command that wakes up sees whole ticks only
+        with self.driver._changed:  # a command that wakes up sees whole ticks only
             self._advance(TICK)
             if self.now >= self._state_at:
                 self._state_at += STATE_PERIOD
@@ -75,11 +75,11 @@ class Loop:
         """Run a command of the driver to its end -> its result, and the time it took."""
         results, started_at = [], self.now
         thread = in_a_thread(lambda: results.append(command(*arguments, NeverStopped())))
-        wait_for_waiter(thread, self.driver.lock)
+        wait_for_waiter(thread, self.driver._changed)
         while thread.is_alive():
             assert self.now < started_at + 60.0, "the command does not end"
             self.passes(TICK)
-            wait_for_waiter(thread, self.driver.lock)
+            wait_for_waiter(thread, self.driver._changed)
         return results[0], self.now - started_at
 
 

@@ -76,7 +76,7 @@ class Lab:
         self.mount = CameraMount.from_config(config)
         self.pose = CameraPose(tuple(map(float, pose)), height, tilt)
         self.driver = FrankaDriver(config, lambda: self.now)
-        self.driver.readiness.set_prepared()
+        self.driver._readiness.set_prepared()
         self.mode, self.errors = RobotMode.MOVE, ()
         self.sends_states = self.follows = True
         self.push = 0.0  # m/s along y, by hand
@@ -101,7 +101,7 @@ class Lab:
             self._wait_for_command()
 
     def _tick(self):
-        with self.driver.lock:  # a command that wakes up sees whole ticks only
+        with self.driver._changed:  # a command that wakes up sees whole ticks only
             self.now += PERIOD
             self.driver.update_control(controllers=RUNNING)
             set_point = self.driver.tick()
@@ -120,7 +120,7 @@ class Lab:
     def _wait_for_command(self):
         """Return once the last command waits for the next tick, or has ended."""
         if self._outcome is not None:
-            wait_for_waiter(self._outcome.thread, self.driver.lock)
+            wait_for_waiter(self._outcome.thread, self.driver._changed)
 
     def begins(self, command, *arguments):
         self._outcome = Outcome(command, *arguments)
@@ -209,7 +209,7 @@ def test_reflex_at_end_of_go_to_timeout_is_reported():
     lab = Lab()
     lab.follows = False
     outcome = lab.begins(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), NeverStopped())
-    with lab.driver.lock:
+    with lab.driver._changed:
         lab.now += 60.0
         lab.mode, lab.errors = RobotMode.REFLEX, ("cartesian_reflex",)
         lab.sees()
@@ -291,7 +291,7 @@ def test_reflex_at_end_of_move_is_reported():
     """The motion is aborted in the last wait before its end."""
     lab = Lab()
     outcome = lab.starts_moving()
-    with lab.driver.lock:
+    with lab.driver._changed:
         lab.now += 1.0
         lab.mode, lab.errors = RobotMode.REFLEX, ("cartesian_reflex",)
         lab.sees()
@@ -372,7 +372,7 @@ def test_set_point_does_not_follow_arm_after_failed_stop():
 def test_move_fails_when_ticks_end():
     lab = Lab()
     outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())
-    with lab.driver.lock:
+    with lab.driver._changed:
         lab.now += 0.6
         lab.sees()
     with pytest.raises(ArmFailedError, match=r"aborted: no set-point was sent for 0\.6 s"):
@@ -394,7 +394,7 @@ def test_outdated_list_of_controllers_aborts_move():
     """The supervisor hangs: another controller may have been started."""
     lab = Lab()
     outcome = lab.starts_moving()
-    with lab.driver.lock:
+    with lab.driver._changed:
         lab.now += 3.1
         lab.sees()
         lab.driver.tick()

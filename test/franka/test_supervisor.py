@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmNotReadyError, RobotError
@@ -161,9 +162,27 @@ def test_load_is_sent_with_centre_and_inertia(requests):
     }
 
 
+def test_publishers_are_kept_while_master_is_down(monkeypatch):
+    """Connections of nodes outlive the master: another publisher may still send."""
+    use_messages()
+    from embodied_active_learning.ros.arm.franka_interface import FrankaInterface  # noqa: PLC0415
+
+    topic = rospy.resolve_name(names.FRANKA_SET_POINT)
+    interface = SimpleNamespace(_other_publishers=[])
+    responses = [lambda: (1, "", ([[topic, ["/rival", rospy.get_name()]]], [], []))]
+    monkeypatch.setattr(rospy, "get_master", lambda: SimpleNamespace(getSystemState=responses[-1]))
+    assert FrankaInterface.other_publishers(interface) == ["/rival"]
+
+    def refuse():
+        raise ConnectionRefusedError
+
+    responses.append(refuse)
+    assert FrankaInterface.other_publishers(interface) == ["/rival"]
+
+
 def condition(lab):
-    lab.driver.why_not_ready()
-    return lab.driver.readiness.condition
+    with lab.driver.readiness() as readiness:
+        return readiness.condition
 
 
 def test_robot_is_prepared_before_its_controller_is_started(lab):

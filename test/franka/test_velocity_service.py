@@ -50,7 +50,7 @@ class Lab:
         matrix[:3, 3], matrix[:3, :3] = self.mount.end_effector(CameraPose(pose, height, (0.0, 0.0)))
         self.robot = VelocityRobot(matrix, **robot)
         self.driver = velocity_driver(CONFIG, lambda: self.now)
-        self.readiness = self.driver.readiness
+        self.readiness = self.driver._readiness
         self.tracker = VelocityTracker(CONFIG)
         self.errors = ()
         self.thread = None  # of the last command
@@ -67,10 +67,10 @@ class Lab:
         for _ in range(round(seconds / TICK)):
             self._tick()
             if self.thread is not None:
-                wait_for_waiter(self.thread, self.driver.lock)
+                wait_for_waiter(self.thread, self.driver._changed)
 
     def _tick(self):
-        with self.driver.lock:  # a command that wakes up sees whole ticks only
+        with self.driver._changed:  # a command that wakes up sees whole ticks only
             self.now += TICK
             self.robot.advance(TICK)
             self.cameras.append(self.camera)
@@ -96,7 +96,7 @@ class Lab:
                 outcome.append(error)
 
         self.thread = in_a_thread(run)
-        wait_for_waiter(self.thread, self.driver.lock)
+        wait_for_waiter(self.thread, self.driver._changed)
         return self.thread, outcome
 
     def runs(self, command, *arguments):

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import Any, Callable, Dict, NamedTuple, Optional, Sequence, Tuple
+from contextlib import contextmanager
+from typing import Any, Callable, Dict, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -83,15 +84,12 @@ class FrankaDriver:
         self.jumps = 0
         self.displacements = 0
 
-    @property
-    def readiness(self) -> Readiness:
-        """The robot's readiness; to be used while holding `lock`."""
-        return self._readiness
-
-    @property
-    def lock(self) -> threading.Condition:
-        """Guards `readiness`."""
-        return self._changed
+    @contextmanager
+    def readiness(self) -> Iterator[Readiness]:
+        """Yield the robot's readiness, evaluated now; in the block no other thread reads or changes it."""
+        with self._changed:
+            yield self._update_readiness()
+            self._changed.notify_all()
 
     def update_state(
         self,

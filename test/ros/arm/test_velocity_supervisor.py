@@ -120,6 +120,17 @@ def test_start_is_retried_if_service_does_not_respond(lab):
     assert lab.starts == 1
 
 
+def test_controller_is_restarted_after_lost_service(lab):
+    """The robot's node was restarted: its controller is in an unknown mode."""
+    lab.supervisor.check()
+    with lab.driver.readiness() as readiness:
+        readiness.set_unprepared("no response from /klerg_cmd", retry=True)
+    assert lab.driver.why_not_ready() == "no response from /klerg_cmd"
+    lab.supervisor.check()
+    assert lab.starts == 2
+    assert not lab.driver.why_not_ready()
+
+
 def test_start_that_robot_rejects_is_not_retried(lab):
     lab.start_error = RobotError("the robot does not follow")
     lab.supervisor.check()

@@ -48,8 +48,8 @@ class FrankaSupervisor:
         with self._lock:
             if time.monotonic() >= self._controllers_at + CONTROLLERS_PERIOD:
                 self.update_controllers()
-            with self._driver.lock:
-                prepare, recover = self._driver.readiness.needs_preparation, self._driver.readiness.needs_recovery
+            with self._driver.readiness() as readiness:
+                prepare, recover = readiness.needs_preparation, readiness.needs_recovery
             if prepare:
                 self._try_prepare()
             elif recover:
@@ -63,8 +63,8 @@ class FrankaSupervisor:
             RobotError: The robot rejected a request.
         """
         with requested_recovery(self._driver, self._lock):
-            with self._driver.lock:
-                self._driver.readiness.release()
+            with self._driver.readiness() as readiness:
+                readiness.release()
             self._wait_while_transient()
             prepare = False
             if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
@@ -89,13 +89,12 @@ class FrankaSupervisor:
         )
 
     def _condition(self) -> Condition:
-        self._driver.why_not_ready()  # updates it
-        with self._driver.lock:
-            return self._driver.readiness.condition
+        with self._driver.readiness() as readiness:
+            return readiness.condition
 
     def _has_error(self) -> bool:
-        with self._driver.lock:
-            return self._driver.readiness.has_error
+        with self._driver.readiness() as readiness:
+            return readiness.has_error
 
     def _wait_while_transient(self) -> None:
         """Wait for transient conditions to pass, for instance of a controller that was just started."""
@@ -126,8 +125,8 @@ class FrankaSupervisor:
             self._interface.start()
         self._recover_on_request()
         if self._has_error():
-            with self._driver.lock:
-                errors = self._driver.readiness.report.error_names
+            with self._driver.readiness() as readiness:
+                errors = readiness.report.error_names
             raise RobotError(
                 f"the robot still reports {errors} after the recovery: press and release the user stop, or lock and "
                 "unlock the joints in Desk, then call /arm/recover"
@@ -136,19 +135,21 @@ class FrankaSupervisor:
 
     def _recover_on_request(self) -> None:
         self._recover()
-        with self._driver.lock:
-            self._driver.readiness.forget_reflexes()
+        self._forget_reflexes()
         self._wait_while_transient()
-        with self._driver.lock:
-            self._driver.readiness.forget_reflexes()
+        self._forget_reflexes()
+
+    def _forget_reflexes(self) -> None:
+        with self._driver.readiness() as readiness:
+            readiness.forget_reflexes()
 
     def _try_prepare(self) -> None:
         try:
             self._prepare()
         except RobotError as error:
             rospy.logerr("%s", error)
-            with self._driver.lock:
-                self._driver.readiness.set_unprepared(str(error))
+            with self._driver.readiness() as readiness:
+                readiness.set_unprepared(str(error))
 
     def _prepare(self) -> None:
         """Set collision behaviour, load and stiffness, and start the controller. Raises RobotError."""
@@ -163,8 +164,8 @@ class FrankaSupervisor:
             self._interface.load()
         self._interface.set_stiffness(self._config)
         self._interface.start()
-        with self._driver.lock:
-            self._driver.readiness.set_prepared()
+        with self._driver.readiness() as readiness:
+            readiness.set_prepared()
         self.update_controllers()
         rospy.loginfo(
             "robot prepared: stiffness %g N/m and %g Nm/rad, collision limits %s Nm and %s N, Nm, load %g kg",
@@ -192,8 +193,8 @@ class FrankaSupervisor:
             )
 
     def _is_in_motion(self) -> bool:
-        with self._driver.lock:
-            return self._driver.readiness.is_in_motion
+        with self._driver.readiness() as readiness:
+            return readiness.is_in_motion
 
     def _try_recover(self) -> None:
         try:
@@ -203,8 +204,7 @@ class FrankaSupervisor:
 
     def _recover(self) -> None:
         """Recover from errors; the running controllers restart where the arm is. Raises RobotError."""
-        with self._driver.lock:
-            readiness = self._driver.readiness
+        with self._driver.readiness() as readiness:
             errors = readiness.report.error_names
             readiness.begin_recovery()
         rospy.logwarn("robot reflex (%s): recovering", errors)
@@ -217,7 +217,7 @@ class FrankaSupervisor:
             raise
         finally:
             self.update_controllers()
-            with self._driver.lock:
+            with self._driver.readiness() as readiness:
                 readiness.end_recovery(failure)
 
     def _log_why_not_ready(self) -> None:

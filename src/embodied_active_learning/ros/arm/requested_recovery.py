@@ -30,8 +30,8 @@ def requested_recovery(driver: FrankaDriver, lock: threading.Lock) -> Iterator[N
     try:
         yield
     except Exception as error:
-        with driver.lock:
-            driver.readiness.hold(f"the requested recovery failed ({error})")
+        with driver.readiness() as readiness:
+            readiness.hold(f"the requested recovery failed ({error})")
         raise
     finally:
         lock.release()

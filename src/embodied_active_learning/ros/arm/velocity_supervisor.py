@@ -35,8 +35,8 @@ class VelocitySupervisor:
     def check(self) -> None:
         """Start the controller once it can be; log what prevents the arm from moving."""
         with self._lock:
-            with self._driver.lock:
-                is_due = self._driver.readiness.needs_preparation
+            with self._driver.readiness() as readiness:
+                is_due = readiness.needs_preparation
             if is_due:
                 self._try_start()
         reason = self._driver.why_not_ready()
@@ -60,8 +60,8 @@ class VelocitySupervisor:
                 )
             self._start()
             self._driver.update_control(errors=())
-            with self._driver.lock:
-                self._driver.readiness.release()
+            with self._driver.readiness() as readiness:
+                readiness.release()
             if not self._driver.wait_until_ready(_READY_TIMEOUT):
                 raise ArmNotReadyError(self._driver.why_not_ready())
 
@@ -71,13 +71,13 @@ class VelocitySupervisor:
                 raise ServiceError("the velocity controller is started once the arm is at rest: stop what moves it")
             self._start()
         except (RobotError, ServiceError) as error:
-            with self._driver.lock:
+            with self._driver.readiness() as readiness:
                 # What the robot rejects needs a person; what does not respond yet does not.
-                self._driver.readiness.set_unprepared(str(error), retry=isinstance(error, ServiceError))
+                readiness.set_unprepared(str(error), retry=isinstance(error, ServiceError))
 
     def _start(self) -> None:
         self._interface.start(self._config.rate)
         self.started_at = time.monotonic()
-        with self._driver.lock:
-            self._driver.readiness.set_prepared()
+        with self._driver.readiness() as readiness:
+            readiness.set_prepared()
         rospy.loginfo("velocity controller started")
