@@ -8,6 +8,7 @@ fake_velocity_service/stop_robot, silence_poses, hang (SetBool) and truth (Trigg
 import embodied_active_learning.ros.runtime.startup  # noqa: F401  before the slow imports
 
 import json
+import os
 import sys
 import threading
 import time
@@ -115,6 +116,7 @@ class FakeVelocityService:
             "height_error": camera.height,
             "speed": float(np.abs(robot.velocity).max()),
             "largest": robot.largest.tolist(),
+            "process": os.getpid(),
             "starts": robot.starts,
             "starts_in_motion": robot.starts_in_motion,
             "requests": robot.requests,

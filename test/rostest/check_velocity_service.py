@@ -2,6 +2,8 @@
 """The node velocity_service_arm against the stand-in for the paper's velocity service."""
 
 import json
+import os
+import signal
 import sys
 import time
 import unittest
@@ -112,6 +114,20 @@ class VelocityServiceTest(unittest.TestCase):
         self.assertFalse(self.move(0.01, 0.0, 0.0, 0.1).success)
         until(lambda: self.recover().success)
         self.assertTrue(self.move(0.01, 0.0, 0.0, 0.1).success)
+
+    def test_restarted_service_is_used_without_recover(self):
+        before = self.truth()["process"]
+        os.kill(before, signal.SIGKILL)
+        until(lambda: self.process() not in (None, before))
+        until(lambda: self.move(0.01, 0.0, 0.0, 0.1).success)
+        self.assertEqual(self.truth()["starts"], 1)
+
+    def process(self):
+        """Return the process of the service; None while it is restarting."""
+        try:
+            return self.truth()["process"]
+        except rospy.ServiceException:
+            return None
 
     def test_missing_poses_end_move(self):
         thread, answers = self.start_moving()
