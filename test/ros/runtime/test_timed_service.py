@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
+from rospy.impl import tcpros_base
 from std_srvs.srv import Trigger, TriggerRequest
 
 from embodied_active_learning.errors import ServiceError
@@ -31,25 +32,28 @@ class Proxy:
         self._socket.close()
 
 
+@pytest.fixture(autouse=True)
+def _no_timer(monkeypatch):
+    """The tests interrupt late calls themselves."""
+    monkeypatch.setattr(timed_service, "WallTimer", lambda period, function: None)
+    monkeypatch.setattr(timed_service, "_timers", [])
+
+
 @pytest.fixture
 def servers(monkeypatch):
     """The responses of the servers of the next connections."""
     responses = []
 
     def connect(service):
-        if not responses:
-            raise rospy.ServiceException("it is not advertised")
         service._proxy = Proxy(responses.pop(0))
 
-    monkeypatch.setattr(timed_service, "WallTimer", lambda period, function: None)
-    monkeypatch.setattr(timed_service, "_timers", [])
     monkeypatch.setattr(TimedService, "_connect", connect)
     return responses
 
 
-def call_until_interrupted(service):
-    """Call a hanging service with a timeout of 0 -> the error."""
-    service.timeout, errors = 0.0, []
+def call_until_interrupted(service, timeout=0.0):
+    """Call a hanging service with a timeout [s] -> the error."""
+    service.timeout, errors = timeout, []
 
     def call():
         with pytest.raises(ServiceError) as caught:
@@ -73,6 +77,22 @@ def test_hanging_call_is_interrupted(servers):
     assert call_until_interrupted(TimedService("name", Trigger, 60.0)) == "no response from /name: none within 0 s"
 
 
+def test_hanging_connection_is_interrupted(monkeypatch):
+    """A frozen process: the kernel accepts the connection, but nobody reads from it."""
+    monkeypatch.setattr(tcpros_base, "_is_use_tcp_keepalive", lambda: False)  # it asks the master
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        uri = f"rosrpc://127.0.0.1:{server.getsockname()[1]}"
+        monkeypatch.setattr(rospy, "get_master", lambda: SimpleNamespace(lookupService=lambda name: (1, "", uri)))
+        message = call_until_interrupted(TimedService("name", Trigger, 60.0), timeout=0.05)
+    assert message == "no response from /name: none within 0.05 s"
+
+
+def test_unknown_service_is_reported(monkeypatch):
+    monkeypatch.setattr(rospy, "get_master", lambda: SimpleNamespace(lookupService=lambda name: (-1, "", "")))
+    with pytest.raises(ServiceError, match="no response from /name: it is not advertised"):
+        TimedService("name", Trigger, 60.0).call(TriggerRequest())
+
+
 def test_call_after_interruption_connects_again(servers):
     servers.extend([b"", b"a"])
     service = TimedService("name", Trigger, 60.0)
@@ -86,8 +106,3 @@ def test_call_in_time_is_not_interrupted(servers):
     service.call(TriggerRequest())
     interrupt_late_calls()
     assert service.call(TriggerRequest()) == b"b"
-
-
-def test_missing_server_is_reported(servers):
-    with pytest.raises(ServiceError, match="no response from /name: it is not advertised"):
-        TimedService("name", Trigger, 60.0).call(TriggerRequest())

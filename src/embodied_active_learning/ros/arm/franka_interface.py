@@ -30,6 +30,7 @@ _RECOVERY_TIMEOUT = 20.0  # s of wall time
 _CANCEL_TIMEOUT = 1.0  # s of wall time that a cancelled recovery may take to end
 _SERVER_TIMEOUT = 5.0  # s of wall time
 _CALL_TIMEOUT = 10.0  # s of wall time: loading or switching a controller may take several
+_LIST_TIMEOUT = 2.0  # s of wall time: less than readiness.CONTROL_TIMEOUT
 _STIFFNESS_TOLERANCE = 1e-6  # N/m, Nm/rad
 # Interfaces of ros_control through which a controller cannot move the robot.
 _READ_ONLY = ("JointStateInterface", "FrankaStateInterface", "FrankaModelInterface")
@@ -205,8 +206,9 @@ def _moves(controller: Any) -> bool:
 
 
 def _call(name: str, service_class: Any, *arguments: Any, **fields: Any) -> Any:
+    timeout = _LIST_TIMEOUT if name == names.CONTROLLERS else _CALL_TIMEOUT
     try:
-        return call_within(_CALL_TIMEOUT, name, service_class, service_class._request_class(*arguments, **fields))
+        return call_within(timeout, name, service_class, service_class._request_class(*arguments, **fields))
     except ServiceError as error:
         raise RobotError(f"{error}; is franka_control running?") from error
 

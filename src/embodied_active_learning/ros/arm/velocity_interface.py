@@ -72,12 +72,9 @@ class VelocityInterface:
 
     @staticmethod
     def _call_start() -> bool:
+        request = StartVelocityControlRequest()
         with _remedy():
-            return bool(
-                call_within(
-                    _START_TIMEOUT, names.VELOCITY_START, StartVelocityControl, StartVelocityControlRequest()
-                ).success
-            )
+            return bool(call_within(_START_TIMEOUT, names.VELOCITY_START, StartVelocityControl, request).success)
 
 
 def _request(twist: EndEffectorTwist) -> UpdateVelocityRequest:
