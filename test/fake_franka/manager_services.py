@@ -107,12 +107,24 @@ class ManagerServices:
             if not rospy.has_param(f"{name}/type"):
                 rospy.set_param(name, values)
         self._start_manager()
-        space = "controller_manager/"
-        computer.offer(space + "list_controllers", ListControllers, self.list_controllers)
-        computer.offer(space + "list_controller_types", ListControllerTypes, self.list_types)
-        computer.offer(space + "load_controller", LoadController, self.load)
-        computer.offer(space + "unload_controller", UnloadController, self.unload)
-        computer.offer(space + "switch_controller", SwitchController, self.switch)
+        self._responds = threading.Event()
+        self._responds.set()
+        self._offer("list_controllers", ListControllers, self.list_controllers)
+        self._offer("list_controller_types", ListControllerTypes, self.list_types)
+        self._offer("load_controller", LoadController, self.load)
+        self._offer("unload_controller", UnloadController, self.unload)
+        self._offer("switch_controller", SwitchController, self.switch)
+
+    def hang(self, on: bool) -> None:
+        """Respond to no request, as a controller_manager that waits for its control loop, or respond again."""
+        (self._responds.clear if on else self._responds.set)()
+
+    def _offer(self, name: str, kind: Any, answer: Callable[[Any], Any]) -> None:
+        def answered(request: Any) -> Any:
+            self._responds.wait()
+            return answer(request)
+
+        self._computer.offer(f"controller_manager/{name}", kind, answered)
 
     @property
     def publishes_states(self) -> bool:

@@ -84,6 +84,7 @@ class StandIn:
         _switch("silence_states", lambda on: setattr(self, "_are_silent", on))
         _switch("slow_states", lambda on: setattr(self, "_are_slow", on))
         _switch("silence_everything", self._silence)
+        _switch("hang_controller_manager", self._manager.hang)
         if self._camera is not None:
             _switch("freeze_camera", lambda on: setattr(self._camera, "is_frozen", on))
             _switch("silence_camera", lambda on: setattr(self._camera, "is_silent", on))

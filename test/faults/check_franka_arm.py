@@ -87,7 +87,7 @@ class FrankaArmTest(unittest.TestCase):
         cls.health.update({status.name: status for status in message.status})
 
     def setUp(self):
-        for switch in ("user_stop", "silence_states", "silence_everything"):
+        for switch in ("user_stop", "silence_states", "silence_everything", "hang_controller_manager"):
             self.switch(switch, False)
         self.is_recovered()
         until(lambda: self.states)
@@ -264,6 +264,17 @@ class FrankaArmTest(unittest.TestCase):
         until(lambda: "the requested recovery failed" in self.move(0.0, 0.0, 0.0, 0.1).message)
         self.assertTrue(self.recover().success)
         self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+
+    def test_hanging_controller_manager_holds_arm(self):
+        self.switch("hang_controller_manager", True)
+        until(lambda: "no response from controller_manager" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        answer = self.recover()
+        self.assertFalse(answer.success)
+        self.assertIn("no response from controller_manager", answer.message)
+        self.switch("hang_controller_manager", False)
+        until(lambda: "the requested recovery failed" in self.move(0.0, 0.0, 0.0, 0.1).message)
+        self.is_recovered()
+        self.takes_commands()
 
     def test_unloaded_controller_is_restored_by_recover(self):
         self.assertTrue(self.controllers("switch", [], [OURS], 2, False, 0.0))
