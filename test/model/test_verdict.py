@@ -54,7 +54,3 @@ def test_latent_contribution_is_relative_to_the_better_alternative():
     assert ReconstructionErrors(0.01, 0.1, 0.05).latent_contribution == pytest.approx(0.8)
     assert ReconstructionErrors(0.05, 0.1, 0.05).latent_contribution == 0.0
     assert ReconstructionErrors(0.0, 0.0, 0.0).latent_contribution == 1.0
-
-
-def test_run_without_training_collects_images_only():
-    assert judge_run(0, None, None, None, 0.05, trains=False).name == "images only"

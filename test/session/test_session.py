@@ -371,6 +371,11 @@ def test_summary_counts_a_step_whose_row_was_lost(tmp_path):
         assert summarise(session, finished=False, wall_time=0.0).steps == 4
 
 
+def test_summary_of_a_run_without_training_says_so(tmp_path):
+    with Session.open_for_writing(make_config(tmp_path, training={"updates_per_observation": 0})) as session:
+        assert summarise(session, finished=True, wall_time=0.0).verdict.startswith("images only")
+
+
 def test_summary_of_empty_run_has_no_numbers(tmp_path):
     with Session.open_for_writing(make_config(tmp_path)) as session:
         summary = summarise(session, finished=False, wall_time=0.0)

@@ -43,6 +43,10 @@ class Verdict:
         return f"{self.name}: {self.explanation}"
 
 
+NO_TRAINING = Verdict("images only", "no model is trained with training/updates_per_observation 0")
+"""Verdict on a run that only collects images."""
+
+
 def judge_run(
     updates: int,
     mse_own: Optional[float],
@@ -50,7 +54,6 @@ def judge_run(
     mse_none: Optional[float],
     ergodic_measure: Optional[float],
     ended: str = "",
-    trains: bool = True,
 ) -> Verdict:
     """Return the verdict on a run; None for numbers that it does not have.
 
@@ -61,10 +64,7 @@ def judge_run(
         mse_none: Without a latent, from z = 0.
         ergodic_measure: KL divergence between target and visited states [nat].
         ended: Why the stopping criterion has ended the run; empty if all steps were made.
-        trains: Whether the run is meant to train a model.
     """
-    if not trains:
-        return Verdict("images only", "no model is trained with training/updates_per_observation 0")
     if ended == NOTHING_TO_LEARN:
         return Verdict(ended, "nothing on the table differs from it; place objects, or check the camera's images")
     if updates == 0:

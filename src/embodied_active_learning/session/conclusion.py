@@ -7,7 +7,7 @@ from typing import Dict, Optional
 
 import numpy as np
 
-from embodied_active_learning.model.verdict import judge_run
+from embodied_active_learning.model.verdict import NO_TRAINING, judge_run
 from embodied_active_learning.objects.stability import reason_to_end
 from embodied_active_learning.session.observations import count_observations
 from embodied_active_learning.session.session import Session
@@ -26,7 +26,10 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
     updates = int(_last(training, "update") or 0)
     errors = {name: _last(evaluation, name) for name in ("mse_own", "mse_shuffled", "mse_none")}
     ergodic_measure = _last(exploration, "ergodic_measure")
-    ended, trains = _reason_to_end(session), session.config.training.updates_per_observation > 0
+    ended = _reason_to_end(session)
+    verdict = judge_run(updates, ergodic_measure=ergodic_measure, **errors, ended=ended)
+    if session.config.training.updates_per_observation == 0:
+        verdict = NO_TRAINING
     return Summary(
         finished=finished,
         # A step that was interrupted after its observation has no row.
@@ -39,7 +42,7 @@ def summarise(session: Session, finished: bool, wall_time: float) -> Summary:
         distance=_last(exploration, "distance"),
         **errors,
         ended=ended,
-        verdict=str(judge_run(updates, ergodic_measure=ergodic_measure, **errors, ended=ended, trains=trains)),
+        verdict=str(verdict),
     )
 
 
