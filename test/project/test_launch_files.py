@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -198,6 +199,17 @@ def test_identify_launch_keeps_names_of_digits(monkeypatch, replay):
     values = [config.params[f"/identifier/{name}"].value for name in ("sessions", "name", "replay")]
     assert values == ["20261102", "0815", replay]
     assert sum('--search "20261102"' in command for command in commands) == 1
+
+
+def test_identifier_takes_unset_arguments_as_empty():
+    program = f"""
+import runpy, rospy
+rospy.get_param = {{"~name": "0815", "~replay": "unset"}}.get
+text_parameter = runpy.run_path({str(LAUNCH[0].parents[1] / "nodes" / "identifier")!r})["text_parameter"]
+print([text_parameter(name) for name in ("name", "replay", "sessions")])
+"""
+    ended = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert ended.stdout.strip() == "['0815', '', '']"
 
 
 @pytest.mark.parametrize("bringup", ["all", "nodes"])
