@@ -17,6 +17,7 @@ class Planner:
         self.exists = True
         self.requests = PauseRequests()
         self.failing_calls = 0
+        self.calls_until_restart = 0
         self.stored = None
         self.waits = []
 
@@ -26,6 +27,9 @@ class Planner:
 
     def trigger(self, name):
         if not self.exists:
+            return None
+        if self.calls_until_restart:
+            self.calls_until_restart -= 1
             return None
         if self.failing_calls:
             self.failing_calls -= 1
@@ -83,6 +87,19 @@ def test_resume_retried_if_planner_does_not_respond(planner):
         planner.failing_calls = 2
     assert not planner.is_paused
     assert len(planner.waits) == 2, "one before each retry"
+
+
+def test_resume_waits_for_restarting_planner(planner):
+    with PlannerPause().paused():
+        planner.calls_until_restart = 2
+    assert not planner.is_paused
+
+
+def test_resume_does_not_wait_for_ended_planner(planner):
+    with PlannerPause().paused():
+        planner.exists, planner.requests = False, PauseRequests()
+    assert planner.waits == []
+    assert planner.stored() == ""
 
 
 def test_pause_without_response_is_ended(planner):

@@ -54,10 +54,9 @@ class PlannerPause:
                 self._resume()
 
     def _resume_after_lost_response(self) -> None:
-        """End a pause without response: the planner stores the request first, and restores it if it restarts."""
+        """End a pause whose response was lost: the planner stores the request before it responds."""
         wall_sleep(_RESUME_PERIOD)  # until the request is stored
-        requests = persistent_parameters.load(names.PLANNER_PAUSED_BY).split()
-        if rospy.get_name() in requests:  # else the planner would end the pauses of all others
+        if _is_paused_by_this_node():  # else the planner would end the pauses of all others
             self._has_paused = True
             self._resume()
 
@@ -66,10 +65,16 @@ class PlannerPause:
             if attempt:
                 wall_sleep(_RESUME_PERIOD)
             try:
-                trigger_if_advertised(names.PLANNER_RESUME)
-                self._has_paused = False
-                return
+                response = trigger_if_advertised(names.PLANNER_RESUME)
+                if response is not None or not _is_paused_by_this_node():  # else the planner is restarting
+                    self._has_paused = False
+                    return
             except EmbodiedActiveLearningError as error:
                 rospy.logwarn("cannot resume the planner: %s", error)
         name = rospy.resolve_name(names.PLANNER_RESUME)
         rospy.logerr("the planner is still paused: %s does not respond; call it again", name)
+
+
+def _is_paused_by_this_node() -> bool:
+    """Return whether the planner has stored a request of this node, which it restores if it restarts."""
+    return rospy.get_name() in persistent_parameters.load(names.PLANNER_PAUSED_BY).split()
