@@ -78,11 +78,15 @@ def test_replay_is_refused_beside_a_running_system(master, capfd, node):
     master.running.add(node)
     with pytest.raises(XmlParseException):
         load("replay", bag=ROOT / "bags" / "diagonal-small.bag")
-    assert f"node {node} is already running" in capfd.readouterr().err
+    output = capfd.readouterr().err
+    assert f"node {node} is already running" in output
+    assert "end robot.launch before it" in output
 
 
 def test_fingerprinting_is_refused_beside_an_identification(master, capfd):
     master.running.add("/identifier")
     with pytest.raises(XmlParseException):
         load("fingerprint", session="a", views_from="stored")
-    assert "node /identifier is already running" in capfd.readouterr().err
+    output = capfd.readouterr().err
+    assert "node /identifier is already running" in output
+    assert "use bringup:=none" in output

@@ -19,10 +19,10 @@ def own_name(default: str) -> str:
     return rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(), mappings.get("__name", default))
 
 
-def require_unused_names(nodes: Sequence[str]) -> None:
+def require_unused_names(nodes: Sequence[str], remedy: str = "") -> None:
     """Raise BusyError if a node with one of these names is running. Relative names are resolved with ROS_NAMESPACE.
 
-    Nodes that do not respond, for example because they were killed, may be replaced.
+    Nodes that do not respond, for example because they were killed, may be replaced. remedy: appended to the message.
     """
     caller = rosgraph.names.make_caller_id("require_unused_names")
     config = rosgraph.names.resolve_name(names.CONFIG_PARAMETER, caller)
@@ -41,5 +41,5 @@ def require_unused_names(nodes: Sequence[str]) -> None:
         where = f"process {pid} on {urlparse(uri).hostname}, session {session_name or '-'}"
         raise BusyError(
             f"node {name} is already running ({where}): wait until that run has ended, or start this one with another "
-            "ROS_NAMESPACE or ROS_MASTER_URI; with a running robot.launch, use bringup:=none"
+            f"ROS_NAMESPACE or ROS_MASTER_URI{remedy}"
         )
