@@ -51,11 +51,6 @@ _JPEG_ALONE = frozenset((0x01, *range(0xD0, 0xD8)))  # markers without a segment
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 
 
-def spread_indices(count: int, most: int) -> np.ndarray:
-    """Return at most `most` evenly spread indices below `count`, from the first to the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
-
-
 def decode_raw(data: bytes, encoding: str, height: int, width: int, step: int) -> np.ndarray:
     """Decode the fields of a sensor_msgs/Image.
 

@@ -12,11 +12,11 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.ergodic_objective import target_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.registry import EXPLORERS
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.simulation import Simulation
+from embodied_active_learning.subsampling import spread_indices
 
 _PROPOSALS = 20000
 _TESTED = 300

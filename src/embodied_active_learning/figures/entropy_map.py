@@ -25,10 +25,10 @@ from embodied_active_learning.figures.workspace_axes import (
     show_workspace,
 )
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.subsampling import spread_indices
 from embodied_active_learning.workspace import Workspace
 
 _GRID = 48  # cells in x and in y

@@ -32,8 +32,8 @@ from embodied_active_learning.figures.workspace_axes import (
     show_workspace,
 )
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
+from embodied_active_learning.subsampling import spread_indices
 from embodied_active_learning.workspace import Workspace
 
 _ROWS, _COLUMNS = 3, 6  # of the grid of views

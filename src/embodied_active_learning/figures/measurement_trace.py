@@ -37,11 +37,11 @@ from embodied_active_learning.figures.workspace_axes import (
     show_extent,
 )
 from embodied_active_learning.geometry import pose_distance
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 from embodied_active_learning.objects.matching import Matches
 from embodied_active_learning.objects.report import NO_TRUTH, Truth
+from embodied_active_learning.subsampling import spread_indices
 
 NEAR_DECISION = 0.03
 """Distance [m] within which an image counts as taken near a decision."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.geometry import metres_per_pixel
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.subsampling import spread_indices
 from embodied_active_learning.workspace import Workspace
 
 _MAX_SIDE = 700  # px

@@ -12,9 +12,9 @@ from sklearn.cluster import MeanShift
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.geometry import table_points
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.relief import TILE, relief_at
 from embodied_active_learning.objects.salience import Background
+from embodied_active_learning.subsampling import spread_indices
 
 _CELL = 0.01  # m
 _MARGIN = 0.08

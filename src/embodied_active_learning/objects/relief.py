@@ -15,8 +15,8 @@ import numpy as np
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.geometry import pixels_of
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.objects.colours import blurred
+from embodied_active_learning.subsampling import spread_indices
 
 _HEIGHTS = (0.0, 0.004, 0.008, 0.012, 0.016, 0.021, 0.028, 0.036, 0.046, 0.06)
 """Heights of the planes [m]."""

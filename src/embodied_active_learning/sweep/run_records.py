@@ -20,7 +20,6 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.images import spread_indices
 from embodied_active_learning.model.native.library import load_kernels
 from embodied_active_learning.objects.report import nearest
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
@@ -32,6 +31,7 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import Summary
 from embodied_active_learning.session.tables import COLUMNS, read_table
 from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.subsampling import spread_indices
 
 FORMAT = "embodied_active_learning/record"
 RECORD_FILE = "record.yaml"
