@@ -14,7 +14,7 @@ from embodied_active_learning.objects import colours
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.calibration import calibrate
-from embodied_active_learning.objects.colours import balance_slopes, balanced, colour_distance, colour_features
+from embodied_active_learning.objects.colours import balance_jacobian, balanced, colour_distance, colour_features
 from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.pose_search import best_pose, propose, refine
@@ -77,13 +77,13 @@ def test_white_balance_changes_features_as_it_changes_images():
     np.testing.assert_allclose(balanced(colour_features(colours), np.log(gains)), changed, atol=0.02)
 
 
-def test_balance_slopes_are_derivatives():
+def test_balance_jacobian_has_the_derivatives():
     features, step = colour_features(np.array([[200, 100, 40], [20, 60, 230]], np.uint8)).astype(float), 1e-5
-    slopes = balance_slopes(features)
+    jacobian = balance_jacobian(features)
     for channel in range(2):
         gains = step * np.eye(3)[channel]
         change = (balanced(features, gains) - balanced(features, -gains))[:, 1:] / (2.0 * step)
-        np.testing.assert_allclose(slopes[:, :, channel], change, atol=0.05)
+        np.testing.assert_allclose(jacobian[:, :, channel], change, atol=0.05)
 
 
 @pytest.mark.parametrize(("gains", "is_explained"), [((1.1, 1.0, 0.9), True), ((1.0, 1.0, 0.3), False)])

@@ -63,11 +63,11 @@ def balanced(features: np.ndarray, gains: np.ndarray) -> np.ndarray:
     return np.stack([features[..., 0] + np.log(total), shares[..., 0], shares[..., 1]], axis=-1)
 
 
-def balance_slopes(features: np.ndarray) -> np.ndarray:
-    """Return the change (..., 2, 2) of the red and green shares of features (..., 3) with the white balance.
+def balance_jacobian(features: np.ndarray) -> np.ndarray:
+    """Return the Jacobian (..., 2, 2) of the red and green shares of features (..., 3) under white balance.
 
-    It is per log gain of red and of green relative to blue. White balance multiplies channels, so it moves the share of
-    a channel that is already dark little.
+    The variables are the log gains of red and of green relative to blue. White balance multiplies channels, so it
+    moves the share of a channel that is already dark little.
     """
     shares = features[..., 1:]
     diagonal = shares[..., None] * np.eye(2, dtype=np.float32)

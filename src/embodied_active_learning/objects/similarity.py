@@ -14,7 +14,7 @@ import numpy as np
 
 from embodied_active_learning.geometry import to_base_frame, to_object_frame
 from embodied_active_learning.objects.appearance import Appearance
-from embodied_active_learning.objects.colours import balance_slopes, colour_distance
+from embodied_active_learning.objects.colours import balance_jacobian, colour_distance
 
 Indices = Union[Sequence[int], np.ndarray]
 LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
@@ -52,7 +52,7 @@ class Points(NamedTuple):
 
     positions: np.ndarray  # (K, 2) m, in the object's coordinates
     features: np.ndarray  # (K, 3)
-    slopes: np.ndarray  # (K, 2, 2) of their shares, see balance_slopes
+    jacobian: np.ndarray  # (K, 2, 2), see balance_jacobian
 
 
 class Light(NamedTuple):
@@ -136,8 +136,8 @@ def _points(appearance: Appearance, stored: int, stride: int = 1) -> Tuple[Point
     inside = appearance.inside_features[stored, ::stride]
     ring = appearance.ring_features[stored, ::stride]
     return (
-        Points(appearance.inside_points[stored, ::stride], inside, balance_slopes(inside)),
-        Points(appearance.ring_points[stored, ::stride], ring, balance_slopes(ring)),
+        Points(appearance.inside_points[stored, ::stride], inside, balance_jacobian(inside)),
+        Points(appearance.ring_points[stored, ::stride], ring, balance_jacobian(ring)),
     )
 
 
@@ -161,7 +161,7 @@ def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: T
         ex, ey = ex - _GRADIENT_PRIOR * gradient[:, 0], ey - _GRADIENT_PRIOR * gradient[:, 1]
         determinant = xx * yy - xy**2
         gradient = gradient + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], axis=-1) / determinant[:, None]
-    balance = _fit_balance(change[..., 1:], weight, points.slopes)
+    balance = _fit_balance(change[..., 1:], weight, points.jacobian)
     return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), balance)
 
 
@@ -174,11 +174,11 @@ def _masked_median(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return np.where(count > 0, middle, 0.0).astype(np.float32)
 
 
-def _fit_balance(change: np.ndarray, weight: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """White balance (P, 2): weighted least squares for changes (P, K, 2) of the shares with slopes (K, 2, 2)."""
+def _fit_balance(change: np.ndarray, weight: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """White balance (P, 2): weighted least squares for changes (P, K, 2) of the shares with a Jacobian (K, 2, 2)."""
     prior = _BALANCE_PRIOR * weight.sum(axis=1) + 1e-6
-    normal = weight @ np.einsum("kij,kil->kjl", slopes, slopes).reshape(-1, 4)
-    right = (weight * change[..., 0]) @ slopes[:, 0] + (weight * change[..., 1]) @ slopes[:, 1]
+    normal = weight @ np.einsum("kij,kil->kjl", jacobian, jacobian).reshape(-1, 4)
+    right = (weight * change[..., 0]) @ jacobian[:, 0] + (weight * change[..., 1]) @ jacobian[:, 1]
     xx, xy, yy = normal[:, 0] + prior, normal[:, 1], normal[:, 3] + prior
     solution = np.stack([yy * right[:, 0] - xy * right[:, 1], xx * right[:, 1] - xy * right[:, 0]], axis=-1)
     gains = solution / (xx * yy - xy**2)[:, None]
@@ -191,7 +191,7 @@ def _match(features: np.ndarray, points: Points, light: Light, scale: Tuple[floa
     x, y = (points.positions / _GRADIENT_UNIT).T
     change = features - points.features
     error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
-    red, green = np.moveaxis(points.slopes, -1, 0)
+    red, green = np.moveaxis(points.jacobian, -1, 0)
     explained = light.balance[:, None, :1] * red + light.balance[:, None, 1:] * green
     colour = colour_distance(change[..., 1:] - explained)
     return np.asarray(1.0 / (1.0 + (error / scale[0]) ** 2 + colour / scale[1] ** 2))
