@@ -13,7 +13,6 @@ class Stream(IntEnum):
 
     SAMPLES = 101
     EXPLORER = 102
-    EVALUATION = 103
     CLUSTERING = 104
     STORED_VIEWS = 105
 

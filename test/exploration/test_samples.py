@@ -11,7 +11,6 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.exploration.kernel import CoverageKernel, workspace_coverage
 from embodied_active_learning.exploration.samples import History, WorkspaceSamples
-from embodied_active_learning.rng import Stream
 
 
 def configuration(normalise=True, **exploration):
@@ -100,19 +99,10 @@ def test_samples_resumed_from_visited_states():
     np.testing.assert_allclose(resumed.visitation, run.visitation, rtol=1e-5)
 
 
-def test_visitation_with_planned_states_equals_later_visits():
-    samples, planned = WorkspaceSamples(configuration(), states(50)), states(10, seed=1)
-    expected = samples.visitation_with(planned)
-    for state in planned:
-        samples.visit(state)
-    np.testing.assert_allclose(samples.visitation, expected, rtol=1e-5)
-
-
-def test_samples_depend_on_seed_and_stream():
+def test_samples_depend_on_seed():
     drawn = [WorkspaceSamples(configuration(seed=3)).states for _ in range(2)]
     np.testing.assert_array_equal(*drawn)
     assert not np.any(WorkspaceSamples(configuration(seed=4)).states == drawn[0])
-    assert not np.any(WorkspaceSamples(configuration(seed=3), stream=Stream.EVALUATION).states == drawn[0])
 
 
 @pytest.mark.parametrize("state", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0], [[0, 0, 0]]])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import shutil
 import subprocess
 import sys
 
@@ -20,7 +19,7 @@ from embodied_active_learning.figures.entropy_map import entropy_maps
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
 from embodied_active_learning.figures.reconstructions import select_images
 from embodied_active_learning.figures.session_figures import draw_session_figures
-from embodied_active_learning.figures.top_view import compose_top_view, load_session_images
+from embodied_active_learning.figures.top_view import compose_top_view
 from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.session.checkpoints import save_model
@@ -167,14 +166,6 @@ def test_figures_are_written_as_pdf_on_request(tmp_path):
     session = make_session(tmp_path, count=2, session={"root": str(tmp_path), "name": "a", "pdf_figures": True})
     (figure,) = draw_session_figures(session)
     assert figure.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
-
-
-def test_session_figures_use_loaded_images(tmp_path):
-    session = make_session(tmp_path)
-    save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60, "observations": 40})
-    images = load_session_images(session)
-    shutil.rmtree(session.paths.observations)
-    assert len(draw_session_figures(session, images=images)) == 3
 
 
 def test_session_figures_without_model(tmp_path):

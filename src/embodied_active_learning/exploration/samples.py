@@ -91,19 +91,18 @@ class WorkspaceSamples:
     The sums are updated recursively: a visit costs O(S), a refresh O(fresh samples x visited states).
     """
 
-    def __init__(self, config: Config, visited: States = (), stream: Stream = Stream.SAMPLES) -> None:
+    def __init__(self, config: Config, visited: States = ()) -> None:
         """Draw the samples.
 
         Args:
             config: the configuration.
             visited: (N, D) normalised states visited in an earlier run.
-            stream: random stream of the seed; the evaluation uses one of its own.
         """
         exploration, axes = config.exploration, config.workspace.box().size
         self.kernel = CoverageKernel.from_config(config)
         self._history = History(self.kernel, axes, visited)
         self._exploration = exploration
-        self._random = generator(exploration.seed, stream)
+        self._random = generator(exploration.seed, Stream.SAMPLES)
         self._states: np.ndarray = np.empty((exploration.samples, axes))
         self._features: np.ndarray = np.empty((exploration.samples, axes + 2), dtype=np.float32)
         self._visitation: np.ndarray = np.empty(exploration.samples)
@@ -138,10 +137,6 @@ class WorkspaceSamples:
     def coverage(self) -> float:
         """Workspace coverage k of the visited states, between 0 and 1. Paper, Alg. 1, line 8."""
         return mean_coverage(self._largest, self._states, self._exploration.authors_coverage)
-
-    def visitation_with(self, planned: np.ndarray) -> np.ndarray:
-        """Return the kernel sums (S,) over visited and planned states (H, D), normalised. Paper, Alg. 1, line 10."""
-        return self._visitation + self.kernel(self._states, planned).sum(axis=0, dtype=np.float64)
 
     def visit(self, state: np.ndarray) -> None:
         """Add a visited state (D,), normalised.

@@ -18,8 +18,8 @@ from embodied_active_learning.objects.similarity import matches, nearest_stored_
 _ROW_HEIGHT, _WIDTH = 2.4, 9.0  # inches
 _DIMMED = 4
 """Factor by which pixels beside the object are darkened."""
-_LINES = 4
-"""Lines of a reason that are shown."""
+_LINES, _LINE_LENGTH = 4, 34
+"""Lines of a reason that are shown, and characters in each."""
 _EXTENT = 50.0 * SIDE * PIXEL  # half a side in cm
 _COLUMNS = ("learned", "object's pixels", "best place", "match: object (dots), ring (crosses)")
 
@@ -79,11 +79,11 @@ def _show(axes: Axes, picture: np.ndarray) -> None:
     axes.imshow(picture, origin="lower", extent=(-_EXTENT, _EXTENT, -_EXTENT, _EXTENT))
 
 
-def _wrapped(text: str, width: int = 34) -> str:
+def _wrapped(text: str) -> str:
     """The first lines of a text."""
     words, lines = text.split(), [""]
     for word in words:
-        if len(lines[-1]) + len(word) > width:
+        if len(lines[-1]) + len(word) > _LINE_LENGTH:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
     return "\n".join(lines[:_LINES]) + ("..." if len(lines) > _LINES else "")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import List, Optional, Sequence
+from typing import List, Sequence
 
 from embodied_active_learning.figures.entropy_map import draw_entropy
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
 from embodied_active_learning.figures.reconstructions import draw_reconstructions
 from embodied_active_learning.figures.stopping import draw_stopping
-from embodied_active_learning.figures.top_view import SessionImages, load_session_images
+from embodied_active_learning.figures.top_view import load_session_images
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
@@ -18,9 +18,7 @@ from embodied_active_learning.session.session_model import load_session_model
 _LOG = logging.getLogger(__name__)
 
 
-def draw_session_figures(
-    session: Session, objects: Sequence[Location] = (), images: Optional[SessionImages] = None
-) -> List[Path]:
+def draw_session_figures(session: Session, objects: Sequence[Location] = ()) -> List[Path]:
     """Draw the learning metrics, the entropy map and reconstructions into the session's figures/.
 
     Entropy map and reconstructions need a trained model and are skipped without one.
@@ -28,13 +26,12 @@ def draw_session_figures(
     Args:
         session: The session.
         objects: The true objects, where they are known.
-        images: Result of `load_session_images`, if it was called already.
 
     Returns:
         The paths of the figures.
     """
     folder, pdf = session.paths.figures, session.config.session.pdf_figures
-    loaded = load_session_images(session) if images is None else images
+    loaded = load_session_images(session)
     paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: loaded)]
     if session.config.may_stop_early and len(session.read_table("stopping")["update"]):
         paths.append(draw_stopping(folder / "stopping.png", session))

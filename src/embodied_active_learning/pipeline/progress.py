@@ -53,8 +53,8 @@ class TimeLeft:
 class ProgressLine:
     """Formats progress, with the remaining time estimated from the last minutes."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, window: int = 24) -> None:
-        self._left = TimeLeft(clock, window)
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._left = TimeLeft(clock)
 
     def describe(self, progress: Progress) -> str:
         """Return the line for the current progress."""

@@ -41,9 +41,8 @@ def random_world(
     kinds: Sequence[str] = SHIPPED,
     table: Optional[GeneratedTexture] = None,
     lighting: bool = False,
-    workspace: Optional[Workspace] = None,
 ) -> WorldSettings:
-    """Return the settings of a random world; the same for the same arguments.
+    """Return the settings of a random world in the default workspace; the same for the same arguments.
 
     Args:
         seed: Seed of everything random.
@@ -53,13 +52,12 @@ def random_world(
         kinds: Shipped kinds (duck, plant, star) and procedural objects (random_urdfs/000 to /999).
         table: Texture of the table; default: a random one.
         lighting: Whether brightness, gradient, shadow and white balance are random; default: neutral.
-        workspace: Where objects are placed.
 
     Raises:
         WorldError: An unknown kind, or no room for the objects at this spacing.
     """
-    generator = np.random.default_rng(seed)
-    positions = _positions(count + distractors, spacing, workspace or Workspace(), generator)
+    generator, workspace = np.random.default_rng(seed), Workspace()
+    positions = _positions(count + distractors, spacing, workspace, generator)
     chosen = [kinds[generator.integers(len(kinds))] for _ in range(count)]
     chosen += _distractors(distractors, kinds, generator)
     objects: Dict[str, ObjectSettings] = {}
@@ -69,7 +67,7 @@ def random_world(
     if table is None:
         kind = TEXTURE_KINDS[generator.integers(len(TEXTURE_KINDS))]
         table = GeneratedTexture(kind, int(generator.integers(2**31)))
-    light = _lighting(workspace or Workspace(), generator) if lighting else Lighting()
+    light = _lighting(workspace, generator) if lighting else Lighting()
     return WorldSettings(table=TableSettings(generate=table), objects=objects, lighting=light)
 
 

@@ -30,12 +30,11 @@ class Mean(NamedTuple):
     high: np.ndarray
 
 
-def bootstrap_mean(values: np.ndarray, level: float = LEVEL) -> Mean:
+def bootstrap_mean(values: np.ndarray) -> Mean:
     """Return the mean over runs with percentile bootstrap intervals.
 
     Args:
         values: (R, N) one row per run, without NaN.
-        level: Coverage of the interval.
     """
     values = np.asarray(values, dtype=float)
     if len(values) == 1:
@@ -43,7 +42,7 @@ def bootstrap_mean(values: np.ndarray, level: float = LEVEL) -> Mean:
         return Mean(values[0], unknown, unknown)
     chosen = np.random.default_rng(_SEED).integers(len(values), size=(RESAMPLES, len(values)))
     means = values[chosen].mean(axis=1)
-    low, high = np.quantile(means, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    low, high = np.quantile(means, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], axis=0)
     return Mean(values.mean(axis=0), low, high)
 
 
