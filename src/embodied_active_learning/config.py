@@ -48,13 +48,13 @@ _PROFILE_READER = FileReader(ConfigError, "a profile has sections of keys as in 
 class ModelConfig:
     """The conditional variational autoencoder (paper, Table 2)."""
 
-    latent_size: int = setting(16, "number of latent variables", "", 1, 1024)
+    latent_size: int = setting(16, "number of latent variables", "", 1, 1024, fixed=True)
     hidden_sizes: Tuple[int, ...] = setting(
-        (512, 256), "fully connected layers of the encoder, mirrored by the decoder", "", 1, 8192
+        (512, 256), "fully connected layers of the encoder, mirrored by the decoder", "", 1, 8192, fixed=True
     )
-    channels: Tuple[int, ...] = setting((10, 10, 20), "filters of the convolutions", "", 1, 512)
-    kernels: Tuple[int, ...] = setting((3, 3, 5), "kernel sizes of the convolutions", "px", 1, 31)
-    strides: Tuple[int, ...] = setting((2, 2, 3), "strides of the convolutions", "px", 1, 31)
+    channels: Tuple[int, ...] = setting((10, 10, 20), "filters of the convolutions", "", 1, 512, fixed=True)
+    kernels: Tuple[int, ...] = setting((3, 3, 5), "kernel sizes of the convolutions", "px", 1, 31, fixed=True)
+    strides: Tuple[int, ...] = setting((2, 2, 3), "strides of the convolutions", "px", 1, 31, fixed=True)
 
     def __post_init__(self) -> None:
         """Check that each convolution has filters, a kernel and a stride."""
@@ -113,7 +113,7 @@ class TrainingConfig:
 class ExplorationConfig:
     """The exploration, and the samples that measure coverage."""
 
-    explorer: str = setting("ergodic", "exploration strategy, or module:Class", choices=EXPLORERS)
+    explorer: str = setting("ergodic", "exploration strategy, or module:Class", choices=EXPLORERS, fixed=True)
     measure: str = setting("conditional_entropy", "information measure that becomes the target", choices=MEASURES)
     steps: int = setting(
         3000, "exploration steps, one observation each; an upper limit with stop: stable", "", 1, 1000000
@@ -123,7 +123,7 @@ class ExplorationConfig:
         "when exploration ends: after all steps (fixed), or as soon as the learned objects no longer change (stable)",
         choices=("fixed", "stable"),
     )
-    seed: int = setting(0, "random seed", "", 0, 2**31 - 1)
+    seed: int = setting(0, "random seed", "", 0, 2**31 - 1, fixed=True)
     step_duration: float = setting(0.2, "time between observations", "s", 0.01, 10.0)
     samples: int = setting(1000, "workspace samples S", "", 10, 100000)
     fresh_samples: int = setting(100, "samples redrawn at each step, at most all", "", 0, 100000)

@@ -18,9 +18,11 @@ _DIMENSIONS = len(STATE_NAMES)
 class WorkspaceConfig:
     """Limits of the camera's planar pose in the base frame."""
 
-    x: Tuple[float, ...] = setting((0.325, 0.625), "limits of the camera's x", "m", -2.0, 2.0, length=2)
-    y: Tuple[float, ...] = setting((-0.15, 0.15), "limits of the camera's y", "m", -2.0, 2.0, length=2)
-    theta: Tuple[float, ...] = setting((-2.0, 2.0), "limits of the camera's yaw", "rad", -math.pi, math.pi, length=2)
+    x: Tuple[float, ...] = setting((0.325, 0.625), "limits of the camera's x", "m", -2.0, 2.0, length=2, fixed=True)
+    y: Tuple[float, ...] = setting((-0.15, 0.15), "limits of the camera's y", "m", -2.0, 2.0, length=2, fixed=True)
+    theta: Tuple[float, ...] = setting(
+        (-2.0, 2.0), "limits of the camera's yaw", "rad", -math.pi, math.pi, length=2, fixed=True
+    )
 
     def box(self) -> Workspace:
         """Return the limits as a Workspace. Raises ConfigError if a lower limit is not below the upper one."""
@@ -32,10 +34,10 @@ class WorkspaceConfig:
 class CameraConfig:
     """The wrist camera."""
 
-    width: int = setting(180, "image width", "px", 8, 4096)
-    height: int = setting(180, "image height", "px", 8, 4096)
-    field_of_view: float = setting(30.0, "vertical field of view", "deg", 1.0, 150.0)
-    distance: float = setting(0.3, "height of the camera above the table", "m", 0.05, 2.0)
+    width: int = setting(180, "image width", "px", 8, 4096, fixed=True)
+    height: int = setting(180, "image height", "px", 8, 4096, fixed=True)
+    field_of_view: float = setting(30.0, "vertical field of view", "deg", 1.0, 150.0, fixed=True)
+    distance: float = setting(0.3, "height of the camera above the table", "m", 0.05, 2.0, fixed=True)
     latency: float = setting(0.0, "time from the exposure of an image to its stamp", "s", 0.0, 0.5)
     max_age: float = setting(1.0, "hold the arm if the newest image or pose is older", "s", 0.05, 60.0)
     allow_featureless: bool = setting(False, "accept images of a single colour; otherwise they hold the arm")
@@ -45,7 +47,7 @@ class CameraConfig:
 class ArmConfig:
     """The arm, and the motion limits that its node enforces on every command."""
 
-    robot: str = setting(SIMULATED, "source of images and poses", choices=ROBOTS)
+    robot: str = setting(SIMULATED, "source of images and poses", choices=ROBOTS, fixed=True)
     max_speed: float = setting(0.15, "speed limit of the camera along x and along y", "m/s", 0.001, 1.0)
     max_turn_rate: float = setting(1.5, "yaw rate limit of the camera", "rad/s", 0.001, 2.6)
     # These accelerations on all axes at once take four fifths of the limit of a Panda's second joint (7.5 rad/s^2),
@@ -63,7 +65,7 @@ class ArmConfig:
 class SimulationConfig:
     """The PyBullet simulation."""
 
-    world: str = setting("diagonal", "name of a world in worlds/, or path of a YAML file")
+    world: str = setting("diagonal", "name of a world in worlds/, or path of a YAML file", fixed=True)
     physics_rate: int = setting(240, "physics steps per second", "Hz", 60, 2000)
     start: Tuple[float, ...] = setting(
         (0.475, 0.0, 0.0), "initial pose: x, y, theta", "m, m, rad", -4.0, 4.0, length=_DIMENSIONS
@@ -75,9 +77,15 @@ class FrankaConfig:
     """A real Panda: mounting, contact limits and recovery."""
 
     arm_id: str = setting("panda", "prefix of the robot's frames and joints", choices=("panda", "fr3"))
-    table_height: float = setting(0.0, "height of the table surface in the base frame", "m", -1.0, 1.0)
+    table_height: float = setting(0.0, "height of the table surface in the base frame", "m", -1.0, 1.0, fixed=True)
     camera_position: Tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "optical centre of the camera in the end effector frame (EE)", "m", -0.5, 0.5, length=3
+        (0.0, 0.0, 0.0),
+        "optical centre of the camera in the end effector frame (EE)",
+        "m",
+        -0.5,
+        0.5,
+        length=3,
+        fixed=True,
     )
     camera_rotation: Tuple[float, ...] = setting(
         (0.0, 0.0, 0.0),
@@ -86,6 +94,7 @@ class FrankaConfig:
         -math.pi,
         math.pi,
         length=3,
+        fixed=True,
     )
     rate: float = setting(
         100.0,

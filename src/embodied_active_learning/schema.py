@@ -50,6 +50,7 @@ def setting(
     high: float = math.inf,
     choices: Collection[str] = (),
     length: Union[int, Tuple[int, ...]] = (),
+    fixed: bool = False,
 ) -> Any:
     """Return a dataclass field with documentation and legal values.
 
@@ -61,10 +62,12 @@ def setting(
         high: Largest legal number.
         choices: Legal texts; looked up on each check, so a Registry may grow.
         length: Legal number or numbers of elements of a tuple; any from one up if omitted.
+        fixed: Whether stored observations and weights depend on it, so that a session is continued with the same value.
     """
     lengths = (length,) if isinstance(length, int) else tuple(length)
-    metadata = {"meaning": meaning, "unit": unit, "low": low, "high": high, "choices": choices, "length": lengths}
-    return field(default=default, metadata=metadata)
+    documentation = {"meaning": meaning, "unit": unit, "fixed": fixed}
+    legal = {"low": low, "high": high, "choices": choices, "length": lengths}
+    return field(default=default, metadata={**documentation, **legal})
 
 
 def required(meaning: str, unit: str = "", **legal: Any) -> Any:

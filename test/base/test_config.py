@@ -140,6 +140,22 @@ def test_every_setting_has_a_meaning():
     assert all(item.metadata["meaning"] for _, item in settings(Config))
 
 
+def test_settings_that_stored_data_depend_on_are_fixed():
+    fixed = {}
+    for section, item in settings(Config):
+        if item.metadata["fixed"]:
+            fixed.setdefault(section, []).append(item.name)
+    assert fixed == {
+        "workspace": ["x", "y", "theta"],
+        "camera": ["width", "height", "field_of_view", "distance"],
+        "arm": ["robot"],
+        "simulation": ["world"],
+        "franka": ["table_height", "camera_position", "camera_rotation"],
+        "model": ["latent_size", "hidden_sizes", "channels", "kernels", "strides"],
+        "exploration": ["explorer", "seed"],
+    }
+
+
 def test_generated_files_are_up_to_date():
     for path, text in generate_docs.generated_files().items():
         assert path.read_text(encoding="utf-8") == text, f"{path} is outdated: run make docs"

@@ -6,6 +6,7 @@ Paper, Sec. "Object Identification" and appendix.
 from __future__ import annotations
 
 import logging
+from dataclasses import fields
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -25,8 +26,6 @@ from embodied_active_learning.workspace import Workspace
 
 LOG = logging.getLogger(__name__)
 
-_SAME_CAMERA = ("width", "height", "field_of_view", "distance")
-"""Camera settings that must be equal in training and identification."""
 _CHUNK = 64
 """Images processed at a time."""
 
@@ -186,10 +185,10 @@ def _load_model(fingerprint_set: FingerprintSet) -> TrainedModel:
 
 def _check_camera(fingerprint_set: FingerprintSet, camera: CameraConfig) -> None:
     """Check that a session was trained with the camera of the stream."""
-    for name in _SAME_CAMERA:
-        trained, given = getattr(fingerprint_set.config.camera, name), getattr(camera, name)
-        if trained != given:
+    for item in fields(camera):
+        trained, given = getattr(fingerprint_set.config.camera, item.name), getattr(camera, item.name)
+        if item.metadata["fixed"] and trained != given:
             raise ConfigError(
-                f"camera mismatch: session {fingerprint_set.session} was trained with camera/{name} = {trained}, the "
-                f"images have {given}; use images of the same camera, or train again"
+                f"camera mismatch: session {fingerprint_set.session} was trained with camera/{item.name} = {trained}, "
+                f"the images have {given}; use images of the same camera, or train again"
             )

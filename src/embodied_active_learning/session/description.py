@@ -5,30 +5,19 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, List
 
 from embodied_active_learning import __version__
 from embodied_active_learning.config import Config
 from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.schema import build, to_plain
+from embodied_active_learning.schema import build, settings, to_plain
 from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
 
 FORMAT = "embodied_active_learning/session"
 
 _READER = FileReader(CorruptFileError, "restore it, or choose another session")
-
-# Settings that the stored observations and weights depend on; all others may change when a session is continued.
-FIXED: Tuple[Tuple[str, Tuple[str, ...]], ...] = (
-    ("workspace", ()),
-    ("camera", ("width", "height", "field_of_view", "distance")),
-    ("arm", ("robot",)),
-    ("franka", ("table_height", "camera_position", "camera_rotation")),
-    ("model", ()),
-    ("simulation", ("world",)),
-    ("exploration", ("explorer", "seed")),
-)
 
 
 @dataclass(frozen=True)
@@ -78,11 +67,11 @@ def changed_keys(stored: Config, wanted: Config) -> List[str]:
     """Return the differences that prevent a session from being continued with another configuration."""
     before, after = stored.to_dict(), wanted.to_dict()
     changes = []
-    for section, keys in FIXED:
-        for key in keys or before[section]:
-            old, new = before[section][key], after[section][key]
-            if _comparable(key, old) != _comparable(key, new):
-                changes.append(f"{section}/{key} is {new!r} but the session has {old!r}")
+    for section, item in settings(Config):
+        key = item.name
+        old, new = before[section][key], after[section][key]
+        if item.metadata["fixed"] and _comparable(key, old) != _comparable(key, new):
+            changes.append(f"{section}/{key} is {new!r} but the session has {old!r}")
     return changes
 
 
