@@ -26,7 +26,7 @@ from embodied_active_learning.workspace import Workspace
 
 LOG = logging.getLogger(__name__)
 
-_CHUNK = 64
+CHUNK = 64
 """Images processed at a time."""
 
 
@@ -109,8 +109,8 @@ class Identification:
             states: (N, 3) camera states [m, m, rad].
             images: (N, H, W, 3) uint8.
         """
-        for begin in range(0, len(states), _CHUNK):
-            part = slice(begin, begin + _CHUNK)
+        for begin in range(0, len(states), CHUNK):
+            part = slice(begin, begin + CHUNK)
             weights = self._weights.update(states[part])
             for matcher, targets in self._groups:
                 for target, matches in zip(targets, matcher.match(states[part], images[part])):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import List, Sequence
 
@@ -11,7 +12,7 @@ from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
-from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.objects.identification import CHUNK, Identification
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.session.fingerprinted import searched_sessions
 from embodied_active_learning.session.fingerprints import load_fingerprints
@@ -20,12 +21,9 @@ from embodied_active_learning.session.identifications import (
     is_identified,
     save_identification,
 )
-from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import Session
 
-_CHUNK = 64
-"""Largest number of images processed by one call of `advance`."""
 FIRST_EVALUATION, _EVALUATION_GROWTH = 20, 1.2
 """Images before the first evaluation of the decisions, and factor from one evaluation to the next."""
 
@@ -98,19 +96,10 @@ class IdentificationRun:
         """Unknown objects, as of the last call of `decide`."""
         self._sequential = settings.stop_when_decided and self.identification.by_views
         self._next_evaluation = FIRST_EVALUATION
-        self._store: ObservationStore = self._session.open_observations()
-        self.images = images or len(self._store)
-        if self.images < 1:
-            self.close()
-            raise SessionError(
-                f"no images: {images} requested, {self._path} has {self.stored}; request at least 1, or 0 for all"
-            )
-        if must_be_stored and self.images > self.stored:
-            self.close()
-            raise SessionError(
-                f"too few images: {images} requested, session {self._path.name} has {self.stored}; request fewer, or 0 "
-                "for all"
-            )
+        with ExitStack() as opened:
+            self._store = opened.enter_context(self._session.open_observations())
+            self.images = self._images_to_process(images, must_be_stored)
+            opened.pop_all()
 
     @property
     def config(self) -> Config:
@@ -145,14 +134,14 @@ class IdentificationRun:
     def advance(self) -> int:
         """Process the next stored images, and evaluate the decisions when it is time. Return the number of images.
 
-        It is 0 if there are no new ones.
+        It is at most CHUNK, so that the caller can report progress, and 0 if there are no new ones.
 
         Raises:
             CorruptFileError: If the store is damaged.
         """
         if len(self._store) == self.processed:
             self._store.refresh()
-        limits = [self.processed + _CHUNK, self.images, len(self._store)]
+        limits = [self.processed + CHUNK, self.images, len(self._store)]
         if self._sequential:
             limits.append(self._next_evaluation)
         part = slice(self.processed, min(limits))
@@ -182,3 +171,17 @@ class IdentificationRun:
 
     def __exit__(self, *_details: object) -> None:
         self.close()
+
+    def _images_to_process(self, requested: int, must_be_stored: bool) -> int:
+        """Return the largest number of images to process. Raises SessionError if it is invalid or too large."""
+        images = requested or self.stored
+        if images < 1:
+            raise SessionError(
+                f"no images: {requested} requested, {self._path} has {self.stored}; request at least 1, or 0 for all"
+            )
+        if must_be_stored and images > self.stored:
+            raise SessionError(
+                f"too few images: {requested} requested, session {self._path.name} has {self.stored}; request fewer, "
+                "or 0 for all"
+            )
+        return images
