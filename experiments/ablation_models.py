@@ -26,6 +26,7 @@ from embodied_active_learning.objects.report import true_kinds
 from embodied_active_learning.pipeline.api import load_session
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
+from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.truth import true_objects
 from embodied_active_learning.simulation.world import load_world
@@ -46,7 +47,7 @@ def main() -> None:
     images = load_session(options.images)
     made = {row["model"] for row in read_rows(options.output, missing_ok=True)}
     for path in sorted(path.parent for path in options.models.glob("*/summary.yaml")):
-        if path.name not in made:
+        if path.name not in made and read_summary(path / "summary.yaml").finished:
             session = load_session(path)
             row = {"model": path.name, **view_errors(session), **successes(session, images, options.count)}
             append_rows(options.output, [row])

@@ -32,6 +32,7 @@ from embodied_active_learning.objects.stability import StoppingCriterion
 from embodied_active_learning.pipeline.stopping import CHECK_EVERY, measure
 from embodied_active_learning.session.fingerprints import has_fingerprints
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.session.tensor_files import read_tensors
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world, write_world
@@ -56,7 +57,7 @@ def world_file(root: Path, count: int, seed: int, reserved: bool) -> Path:
 def learn(world: Path, root: Path, steps: int, stop: str) -> Session:
     """Learn a world with a checkpoint for every check, unless that was done before."""
     path = root / world.stem
-    if (path / "summary.yaml").exists():
+    if (path / "summary.yaml").exists() and read_summary(path / "summary.yaml").finished:
         return Session.open_read_only(path)
     shutil.rmtree(path, ignore_errors=True)
     every = 3 * CHECK_EVERY

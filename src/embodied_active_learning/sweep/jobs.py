@@ -96,7 +96,7 @@ class Job:
             session = learn(config)
         except DivergenceError as error:
             session, failure = Session.open_read_only(self.session), str(error)
-        wall_time = 0.0 if failure else read_summary(session.paths.summary).wall_time
+        wall_time = read_summary(session.paths.summary).wall_time
         record = record_session(session, self.run.variant, failure, wall_time)
         write_record(self.record, record)
         return f"{self.run.name}: {failure or record.summary.verdict}"
