@@ -298,7 +298,7 @@ def test_failed_recovery_after_user_stop_holds_robot(lab):
 
 
 def test_failed_recovery_from_early_reflex_is_not_retried(lab):
-    """A reflex from before this node moved the robot is cleared at the request of a person only."""
+    """A reflex that is older than the node's first motion is cleared only at the request of a person."""
     lab.interface.errors, lab.interface.recovers = ERROR, [False, False, True]
     lab.passes()
     with pytest.raises(RobotError, match="Desk"):

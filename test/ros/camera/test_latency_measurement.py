@@ -107,7 +107,7 @@ def test_arm_is_stopped_if_a_command_fails(arm):
 
 
 def test_arm_of_another_commander_is_not_stopped(arm):
-    """Its stop would be an emergency stop, after which somebody has to recover the arm."""
+    """Its stop would be an emergency stop, after which a person has to recover the arm."""
     arm.moves_until_failure, arm.is_commander = 0, False
     with pytest.raises(ArmBusyError):
         measure_latency(arm, Config())

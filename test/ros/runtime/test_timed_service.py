@@ -78,7 +78,7 @@ def test_hanging_call_is_interrupted(servers):
 
 
 def test_hanging_connection_is_interrupted(monkeypatch):
-    """A frozen process: the kernel accepts the connection, but nobody reads from it."""
+    """A frozen process: the kernel accepts the connection, but no thread reads from it."""
     monkeypatch.setattr(tcpros_base, "_is_use_tcp_keepalive", lambda: False)  # it asks the master
     with socket.create_server(("127.0.0.1", 0)) as server:
         uri = f"rosrpc://127.0.0.1:{server.getsockname()[1]}"

@@ -17,7 +17,7 @@ LOCK_TIMEOUT = 5.0
 def requested_recovery(driver: FrankaDriver, lock: threading.Lock) -> Iterator[None]:
     """Hold a supervisor's lock during the block, and hold the robot if the block fails.
 
-    The person was told that it failed, and may approach: the robot must not become ready later by itself.
+    The person sees that it failed, and may approach: the robot must not become ready automatically later.
 
     Raises ArmNotReadyError if the lock is not free in time.
     """

@@ -28,7 +28,7 @@ class TimedService:
         self._proxy: Any = None
 
     def call(self, request: Any) -> Any:
-        """Return the response to a request. Raises ServiceError if there is none."""
+        """Return the response to a request. Raises ServiceError if the server does not respond."""
         deadline = time.monotonic() + self.timeout
         try:
             with _interrupted_at(deadline, self):
