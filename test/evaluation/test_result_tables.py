@@ -62,6 +62,12 @@ def test_group_table_states_how_many_runs_have_a_value():
     assert group_table(groups, {"distance": summary_value("distance")})[-1] == "| a | 2 | - |"
 
 
+def test_last_value_that_is_not_a_number_counts_as_missing():
+    record = make_record("a", "uniform", 1.0)
+    record.tables["exploration"]["effort"][-1] = np.nan
+    assert last_value("exploration", "effort")(record) is None
+
+
 def test_block_is_replaced(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- one -->\nold\n<!-- end -->\nafter\n", encoding="utf-8")

@@ -59,8 +59,13 @@ def summary_value(name: str) -> Measure:
 
 
 def last_value(table: str, column: str) -> Measure:
-    """Return the measure that is the last value of a column; None if there is no row."""
-    return lambda record: float(record.tables[table][column][-1]) if len(record.tables[table][column]) else None
+    """Return the measure that is the last value of a column; None without one, such as the effort of pose commands."""
+
+    def find(record: Record) -> Optional[float]:
+        values = record.tables[table][column]
+        return float(values[-1]) if len(values) and np.isfinite(values[-1]) else None
+
+    return find
 
 
 def first_below(table: str, column: str, limit: float) -> Measure:
