@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Dict, List
 
 import numpy as np
+from table1 import finished
 
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.evaluation.ergodicity import draw_independent, view_features
@@ -26,7 +27,6 @@ from embodied_active_learning.objects.report import true_kinds
 from embodied_active_learning.pipeline.api import load_session
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
-from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.truth import true_objects
 from embodied_active_learning.simulation.world import load_world
@@ -46,10 +46,9 @@ def main() -> None:
     options = parser.parse_args()
     images = load_session(options.images)
     made = {row["model"] for row in read_rows(options.output, missing_ok=True)}
-    for path in sorted(path.parent for path in options.models.glob("*/summary.yaml")):
-        if path.name not in made and read_summary(path / "summary.yaml").finished:
-            session = load_session(path)
-            row = {"model": path.name, **view_errors(session), **successes(session, images, options.count)}
+    for session in finished(options.models, "*"):
+        if session.name not in made:
+            row = {"model": session.name, **view_errors(session), **successes(session, images, options.count)}
             append_rows(options.output, [row])
             print(row, flush=True)
 

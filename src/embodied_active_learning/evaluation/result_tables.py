@@ -55,7 +55,7 @@ def group_table(groups: Mapping[str, Sequence[Record]], measures: Mapping[str, M
 
 def summary_value(name: str) -> Measure:
     """Return the measure that is a field of the summary."""
-    return lambda record: _optional(getattr(record.summary, name))
+    return lambda record: getattr(record.summary, name)
 
 
 def last_value(table: str, column: str) -> Measure:
@@ -163,10 +163,6 @@ def _objects(record: Record) -> str:
     """Describe the object clusters of a run by the nearest true object and the distance to it."""
     found = [item for item in record.objects if item.kind != BLANK and item.distance is not None]
     return ", ".join(f"{item.nearest} {100.0 * (item.distance or 0.0):.1f}" for item in found) or "none"
-
-
-def _optional(value: Optional[float]) -> Optional[float]:
-    return None if value is None else float(value)
 
 
 def _or_dash(value: Optional[float]) -> object:

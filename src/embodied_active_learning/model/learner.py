@@ -86,20 +86,20 @@ class Learner:
         self._config = config
         self._observations = observations
         self._seed = seed
-        self._device = choose_device(config.training.device)
+        self.device = choose_device(config.training.device)
         weights_seed, batches_seed = np.random.SeedSequence([seed, BATCHES_STREAM]).spawn(2)
         self._random = np.random.default_rng(batches_seed)
-        self._network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self._device)
+        self._network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self.device)
         self._optimiser = Optimiser(self._network, config.training.learning_rate)
-        self.loss = choose_loss(self._network, self._device) if loss is None else loss
-        self._reader = BatchReader(observations, self._device)
+        self.loss = choose_loss(self._network, self.device) if loss is None else loss
+        self._reader = BatchReader(observations, self.device)
         self._variance = CoverageKernel.from_config(config).variance
         self.schedule = Schedule(config.objective)
         self.updates = 0
         self.skipped = 0
         self.rollbacks = 0
         self._prepared = -1  # update that prepare() was called for
-        self._inference = choose_inference(config, self._device)
+        self._inference = choose_inference(config, self.device)
         self.replicas = Replicas(self.network, self._inference)
 
     @property
@@ -340,7 +340,7 @@ class Learner:
         halves = [self._random.choice(count, size, replace=False) for _ in range(2)]
         noise = self._random.standard_normal((size, self._network.latent_size), dtype=np.float32)
         pair = self._reader.read(np.concatenate(halves))
-        on_device = torch.from_numpy(noise).to(self._device)
+        on_device = torch.from_numpy(noise).to(self.device)
         return self.loss.compute_gradients(self._network, pair, on_device, beta, gamma, self._optimiser.join)
 
     def _count(self, update: int) -> int:
@@ -350,7 +350,7 @@ class Learner:
     def _mean_colour(self, count: int) -> torch.Tensor:
         """(3,) mean of all pixels of the first `count` observations, in [0, 1]."""
         images = self._observations.images[:count]
-        return torch.from_numpy(images.mean(axis=(0, 1, 2)) / 255.0).to(self._device, torch.float32)
+        return torch.from_numpy(images.mean(axis=(0, 1, 2)) / 255.0).to(self.device, torch.float32)
 
     def _evaluate_schedule(self, count: int) -> None:
         states = self._workspace_states(self._random)
@@ -368,7 +368,7 @@ class Learner:
         """Log std (S,) at states (S, D), given the last of the first `count` observations."""
         observed, images = self._reader.read(np.array([count - 1]))
         latent = self.network.encode(observed, images[0][None]).mean
-        points = torch.from_numpy(states.astype(np.float32)).to(self._device)
+        points = torch.from_numpy(states.astype(np.float32)).to(self.device)
         return self.network.log_std(latent, points).cpu().numpy()
 
     def _evaluation_indices(self, count: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
+import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.distributed.pool import WorkerPool
@@ -72,6 +73,11 @@ class TrainingRun:
     def loss(self) -> LossFunction:
         """The implementation of the loss on this machine."""
         return self._learner.loss
+
+    @property
+    def device(self) -> torch.device:
+        """The device that the model is trained on."""
+        return self._learner.device
 
     @property
     def observations(self) -> int:

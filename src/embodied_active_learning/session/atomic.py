@@ -51,22 +51,35 @@ def replace_folder(path: Path) -> Iterator[Path]:
     """
     temporary, previous = _temporary(path, path.name), _temporary(path, f"{path.name}.previous")
     try:
+        with disk_failure_named(path, "the previous one is kept"):
+            remove_paths([temporary])
+            temporary.mkdir()
+            yield temporary
+            _swap(path, temporary, previous)
+            sync_folder(path.parent)
+            remove_paths([previous])
+    finally:
         remove_paths([temporary])
-        temporary.mkdir()
-        yield temporary
-        _swap(path, temporary, previous)
-        sync_folder(path.parent)
-        remove_paths([previous])
+
+
+@contextmanager
+def disk_failure_named(folder: Path, consequence: str) -> Iterator[None]:
+    """Raise a SessionError that names a folder if the disk fails in the block.
+
+    Args:
+        folder: What the block writes.
+        consequence: The last words of the message, such as "the previous one is kept".
+    """
+    try:
+        yield
     except (OSError, SessionError) as error:
         reason = error if isinstance(error, OSError) else error.__cause__
         if not isinstance(reason, OSError):
             raise
         raise SessionError(
-            f"{path} cannot be written ({reason.strerror}): free disk space, or make its folder writable; the previous "
-            "one is kept"
+            f"{folder} cannot be written ({reason.strerror}): free disk space, or make the folder writable; "
+            f"{consequence}"
         ) from reason
-    finally:
-        remove_paths([temporary])
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -26,6 +26,7 @@ from embodied_active_learning.objects.limits import CALIBRATION_VERSION, Calibra
 from embodied_active_learning.schema import build, required, to_plain
 from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import (
+    disk_failure_named,
     is_leftover,
     remove_paths,
     replace_folder,
@@ -95,21 +96,13 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
     session_path = Path(session_path)
     folder = SessionPaths(session_path).fingerprints
     _check_belongs(session_path, found)
-    try:
+    with disk_failure_named(folder, "the previous set is kept"):
         stays_inside(session_path, folder)
         folder.mkdir(exist_ok=True)
         sync_folder(session_path)
         with open_regular_file(folder / LOCK_FILE, "r+b") as held:
             claim(held, folder)
             return _replace_set(folder, found)
-    except (OSError, SessionError) as error:
-        reason = error if isinstance(error, OSError) else error.__cause__
-        if not isinstance(reason, OSError):
-            raise
-        raise SessionError(
-            f"{folder} cannot be written ({reason.strerror}): free disk space, or make the folder writable; the "
-            "previous set is kept"
-        ) from error
 
 
 def load_fingerprints(session_path: Path) -> FingerprintSet:
