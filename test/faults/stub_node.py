@@ -41,6 +41,13 @@ def wait():
     wait_until(lambda: False, lambda: "an event that never happens")
 
 
+def call_master():
+    """Call the master all the time, so that a signal arrives during a call."""
+    rospy.loginfo("calling the master")
+    while not rospy.is_shutdown():
+        rospy.get_published_topics()
+
+
 def publish_while_topics_close():
     topic = rospy.Publisher("topic", Empty, queue_size=1)
     rospy.core.add_preshutdown_hook(lambda _reason: (publish(topic, Empty()), rospy.loginfo("published")))

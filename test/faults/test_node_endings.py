@@ -123,6 +123,13 @@ def test_node_publishes_while_topics_close(ros, master):
         assert "Traceback" not in node.output
 
 
+@pytest.mark.parametrize("sig", SIGNALS)
+def test_node_ends_during_call_of_master(ros, master, sig):
+    with ros.node(STUB, "call_master") as node:
+        node.wait_for("calling the master")
+        assert node.end(sig) == ExitCode.SUCCESS
+
+
 def test_computing_node_is_ended_after_timeout(ros, master):
     with ros.node(STUB, "compute") as node:
         node.wait_for("computing")

@@ -162,6 +162,14 @@ def test_recovery_restarts_controller_at_present_pose(lab):
     assert lab.y > stands_at + 0.02
 
 
+def test_started_controller_ignores_earlier_set_points():
+    lab = Lab(drives=False)
+    lab.send(0.05)
+    lab.robot.change_controllers(moves_the_arm=True, impedance=True)
+    lab.wait(1.0)
+    assert lab.robot.take_truth()["max_speed"] == 0.0
+
+
 def test_recoveries_fail_as_often_as_configured(lab):
     lab.robot.reflex("cartesian_reflex")
     lab.robot.fail_next_recovery()

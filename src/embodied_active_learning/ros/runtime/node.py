@@ -16,7 +16,12 @@ from embodied_active_learning.ros.runtime.failure import report_failure
 from embodied_active_learning.ros.runtime.handshake import install_handshake_timeout
 from embodied_active_learning.ros.runtime.master import wait_for_master
 from embodied_active_learning.ros.runtime.running_nodes import own_name, require_unused_names
-from embodied_active_learning.ros.runtime.shutdown import ExitCode, ShutdownDeadline, exit_process
+from embodied_active_learning.ros.runtime.shutdown import (
+    ExitCode,
+    ShutdownDeadline,
+    exit_process,
+    install_signal_handlers,
+)
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 
 _HELP = "\n\nStart this node with a launch file of the package: it reads its settings from the parameter server."
@@ -64,7 +69,8 @@ def _run(
         return ExitCode.KNOWN_ERROR
     try:
         install_handshake_timeout()
-        rospy.init_node(name)
+        install_signal_handlers()
+        rospy.init_node(name, disable_signals=True)
         show_library_log()
         if needs_clock:
             wait_for_clock()

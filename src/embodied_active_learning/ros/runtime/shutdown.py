@@ -9,6 +9,8 @@ import signal
 import sys
 import threading
 import time
+from types import FrameType
+from typing import List, Optional
 
 import rospy
 
@@ -16,6 +18,7 @@ TIMEOUT = 4.0
 """Wall seconds after a signal until the process is ended. All files are written atomically, so this damages none."""
 _KERNEL_TIMEOUT = TIMEOUT + 0.5
 """Wall seconds after which the kernel ends a process whose interpreter is blocked."""
+_shutdown_threads: List[threading.Thread] = []  # one for each signal
 
 
 class ExitCode(enum.IntEnum):
@@ -58,11 +61,29 @@ class ShutdownDeadline:
         os._exit(ExitCode.SHUTDOWN_TIMEOUT)
 
 
+def install_signal_handlers() -> None:
+    """Shut rospy down in a thread of its own on SIGINT or SIGTERM; to be called in the main thread.
+
+    rospy's handlers call the master in the interrupted main thread, which waits for ever if that thread was calling the
+    master itself: all calls share a lock that is not reentrant.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _shut_down)
+
+
+def _shut_down(number: int, _frame: Optional[FrameType]) -> None:
+    thread = threading.Thread(target=rospy.signal_shutdown, args=(f"signal-{number}",))
+    _shutdown_threads.append(thread)
+    thread.start()
+
+
 def exit_process(code: ExitCode) -> None:
-    """Exit after the atexit functions, without finalising the interpreter.
+    """Exit after the shutdown and the atexit functions, without finalising the interpreter.
 
     Finalising takes seconds with large libraries and can crash threads that still run inside one.
     """
+    for thread in _shutdown_threads:
+        thread.join()
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
