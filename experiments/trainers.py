@@ -96,6 +96,8 @@ def measure_quality(stored: Session, steps: int, trainers: int, updates_per_roun
 def quality(options: argparse.Namespace) -> None:
     """Measure all combinations that are not in the table yet."""
     path, stored = options.output or RESULTS / "quality.csv", eal.load_session(options.session)
+    if stored.config.training.updates_per_observation == 0:
+        raise SystemExit(f"{stored.name} was recorded with training/updates_per_observation 0: nothing to train")
     done = {(row["trainers"], row["updates_per_round"], row["seed"]) for row in read_rows(path, missing_ok=True)}
     for seed in options.seeds:
         for trainers in options.trainers:
