@@ -46,11 +46,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--images", type=int, default=300, help="images of each scene")
     parser.add_argument("--baselines", nargs="*", default=[], choices=list(BASELINES))
+    parser.add_argument("--error-rates", nargs="*", default=[], type=float, help="decide at these rates too")
     parser.add_argument("--reserved", action="store_true", help="use the reserved objects and tables")
     options = parser.parse_args()
     torch.set_num_threads(1)
     done = {(row["condition"], int(row["scene"])) for row in read_rows(options.output, missing_ok=True)}
-    evaluation = Evaluation(options.sessions, options.baselines, options.reserved)
+    evaluation = Evaluation(options.sessions, options.baselines, options.error_rates, options.reserved)
     for number in range(options.first, options.first + options.scenes):
         for condition in options.conditions:
             if (condition, number) not in done:
@@ -63,9 +64,16 @@ def main() -> None:
 class Evaluation:
     """The fingerprints of some sessions, and the scenes in which they are searched for."""
 
-    def __init__(self, sessions: Sequence[Path], baselines: Sequence[str] = (), reserved: bool = False) -> None:
-        """Load all fingerprints; baselines: names in BASELINES."""
+    def __init__(
+        self,
+        sessions: Sequence[Path],
+        baselines: Sequence[str] = (),
+        error_rates: Sequence[float] = (),
+        reserved: bool = False,
+    ) -> None:
+        """Load all fingerprints; baselines: names in BASELINES; error_rates: beside the default one."""
         self._settings = IdentificationConfig()
+        self._error_rates = error_rates
         sets = [load_fingerprints(path) for path in sessions]
         self.config = sets[0].config
         self._box = self.config.workspace.box()
@@ -101,6 +109,8 @@ class Evaluation:
             if features == "latents":
                 rules["verified"] = self._settings
                 rules["verified, candidates of belief"] = replace(self._settings, candidates_from="belief")
+                for rate in self._error_rates:
+                    rules[f"verified, error rate {rate:g}"] = replace(self._settings, error_rate=rate)
             for name, settings in rules.items():
                 decisions = []
                 for group in by_session(search.targets):
