@@ -48,6 +48,14 @@ class PreflightFrankaTest(unittest.TestCase):
             self.assertIn("parameter /franka_arm/config, arm/robot franka", run.output)
         self.assertIn("arm/robot is 'pybullet' in the system and 'franka' in the arm's node", run.output)
 
+    def test_hanging_controller_manager_is_an_error(self):
+        hang = rospy.ServiceProxy("fake_franka/hang_controller_manager", SetBool)
+        hang(True)
+        run = PreflightRun()
+        hang(False)
+        self.assertEqual(run.levels["controllers"], "ERROR", run.output)
+        self.assertIn("no response from /controller_manager/list_controllers: none within", run.output)
+
     def test_user_stop_and_silent_camera_are_errors(self):
         for fault in ("user_stop", "silence_camera"):
             rospy.ServiceProxy(f"fake_franka/{fault}", SetBool)(True)

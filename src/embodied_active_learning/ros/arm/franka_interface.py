@@ -79,7 +79,7 @@ class FrankaInterface:
 
     def controllers(self) -> Dict[str, Controller]:
         """Return the loaded controllers by name."""
-        return controllers_of(_call(names.CONTROLLERS, ListControllers))
+        return list_controllers()
 
     def load(self) -> None:
         """Load our controller."""
@@ -193,8 +193,9 @@ def _stiffness_service() -> str:
     raise RobotError(f"the stiffness cannot be set: neither {known} is available; franka_ros 0.8 or newer is required")
 
 
-def controllers_of(response: Any) -> Dict[str, Controller]:
-    """Return the controllers in a response of controller_manager by name."""
+def list_controllers() -> Dict[str, Controller]:
+    """Return the controllers of controller_manager by name. Raises RobotError if it does not respond."""
+    response = _call(names.CONTROLLERS, ListControllers)
     return {one.name: Controller(one.state, _moves(one)) for one in response.controller}
 
 

@@ -56,7 +56,6 @@ START = {
     VELOCITY_SERVICE: "roslaunch embodied_active_learning learn.launch robot:=velocity_service stay:=true",
 }
 """How to start the arm of each robot, for remedies."""
-_SERVICE_TIMEOUT = 3.0  # s of wall time
 
 
 class System:
@@ -134,15 +133,13 @@ class System:
     def _controllers(self) -> List[CheckResult]:
         if franka_interface is None:
             return [_cannot_read("controllers", names.CONTROLLERS)]
-        name = rospy.resolve_name(names.CONTROLLERS)
         try:
-            rospy.wait_for_service(name, _SERVICE_TIMEOUT)
-            response = rospy.ServiceProxy(name, franka_interface.ListControllers)()
-        except (rospy.ROSException, rospy.ServiceException) as problem:
-            reason = "franka_arm loads and starts its controller with it"
-            return [error("controllers", f"no response of {name}: {problem}", reason, self._start)]
+            controllers = franka_interface.list_controllers()
+        except RobotError as problem:
+            reason = "franka_arm loads and starts its controller with this service"
+            return [error("controllers", str(problem), reason, self._start)]
         publishers = self._graph.publishers.get(rospy.resolve_name(names.FRANKA_SET_POINT), [])
-        return robot.check_controllers(franka_interface.controllers_of(response), publishers)
+        return robot.check_controllers(controllers, publishers)
 
     def arm_state(self) -> CheckResult:
         """Check arm/state."""
