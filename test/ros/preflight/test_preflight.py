@@ -10,8 +10,9 @@ import rospy
 from sensor_msgs.msg import CameraInfo
 
 from embodied_active_learning.config import REAL_ROBOTS, SIMULATED, Config
+from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.franka.report import CONTROLLER, Controller
-from embodied_active_learning.geometry import intrinsics
+from embodied_active_learning.geometry import fixed_axes_rotation, intrinsics, optical_rotation
 from embodied_active_learning.ros.conversions import camera_info_message
 from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
 from embodied_active_learning.ros.preflight.check_result import (
@@ -228,6 +229,14 @@ def test_second_publisher_of_set_points_is_named():
     assert "/interactive_marker" in result.message
 
 
+def camera_pose(position, tilt, config=FRANKA):
+    """Return the pose of a camera whose optical axis is tilted from straight down about the base frame's y."""
+    transform = np.eye(4)
+    transform[:3, :3] = fixed_axes_rotation((0.0, tilt, 0.0)) @ optical_rotation(0.0)
+    transform[:3, 3] = position
+    return robot.camera_pose(transform, config)
+
+
 @pytest.mark.parametrize(
     ("position", "tilt", "level"),
     [
@@ -240,13 +249,17 @@ def test_second_publisher_of_set_points_is_named():
     ],
 )
 def test_camera_pose_limits_of_height_tilt_and_workspace(position, tilt, level):
-    axis = (math.sin(tilt), 0.0, -math.cos(tilt))
-    assert robot.check_camera_pose(position, axis, 0.0, FRANKA).level.value == level
+    assert robot.check_camera_pose(camera_pose(position, tilt), FRANKA).level.value == level
 
 
 def test_camera_height_is_measured_from_the_table():
     arm = with_franka(table_height=0.15)
-    assert robot.check_camera_pose((0.475, 0.0, 0.45), (0, 0, -1), 0.0, arm).level is Level.OK
+    assert robot.check_camera_pose(camera_pose((0.475, 0.0, 0.45), 0.0, arm), arm).level is Level.OK
+
+
+def test_camera_that_looks_up_has_no_pose():
+    with pytest.raises(ObservationError, match="looks up"):
+        camera_pose((0.475, 0.0, 0.3), math.pi)
 
 
 def test_frames_differ_in_millimetres_and_yaw_wraps():

@@ -8,7 +8,10 @@ from typing import List, Mapping, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import REAL_ROBOTS, Config
-from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
+from embodied_active_learning.errors import ArmNotReadyError
+from embodied_active_learning.franka.mount import CameraMount, CameraPose
+from embodied_active_learning.franka.report import CONTROLLER, Controller, Report
+from embodied_active_learning.franka.start_check import distances_outside, require_startable
 from embodied_active_learning.ros.camera.v4l2 import set_command
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.workspace import STATE_NAMES
@@ -31,8 +34,7 @@ _MODE_REMEDIES = {
 
 def check_robot_state(mode: int, errors: Sequence[str], success_rate: float) -> List[CheckResult]:
     """Check robot_mode, current_errors (names) and control_command_success_rate of franka_states."""
-    modes = {item.value: item.name.lower().replace("_", " ") for item in RobotMode}
-    mode_name = modes.get(mode, f"unknown ({mode})")
+    mode_name = Report(mode=mode).mode_name
     if errors or mode_name not in _READY_MODES:
         remedy = _MODE_REMEDIES.get(mode_name, "rosservice call /arm/recover; see Desk")
         message = f"{mode_name}, errors: {', '.join(errors) or 'none'}"
@@ -63,7 +65,7 @@ def check_controllers(controllers: Mapping[str, Controller], publishers: Sequenc
     if state != "running":
         remedy = "see the log of franka_control.launch, which starts it"
         results.append(error(name, f"{STATE_CONTROLLER} is {state}", reason, remedy))
-    others = [key for key, item in controllers.items() if item.moves and item.state == "running" and key != CONTROLLER]
+    others = Report(controllers=controllers).other_controllers
     if others:
         results.append(
             error(
@@ -121,44 +123,30 @@ def check_camera_controls(
     return ok(name, f"exposure, focus and white balance of {device} are fixed ({len(controls)} controls)")
 
 
-def check_camera_pose(
-    position: Sequence[float], optical_axis: Sequence[float], theta: float, config: Config
-) -> CheckResult:
-    """Check that motion can start at the camera's pose.
+def camera_pose(transform: np.ndarray, config: Config) -> CameraPose:
+    """Return the pose of the camera from that of its optical frame in the base frame, (4, 4) [m].
 
-    Args:
-        position: (3,) in the base frame [m].
-        optical_axis: (3,) unit vector in the base frame.
-        theta: yaw [rad].
-        config: configuration of the arm.
+    Raises ObservationError if it is invalid or the camera looks up.
     """
-    name, franka = "camera pose", config.franka
-    height = config.camera.distance + (franka.table_height if config.arm.robot in REAL_ROBOTS else 0.0)
-    height_error, tilt = position[2] - height, math.acos(max(-1.0, min(1.0, -optical_axis[2])))
-    state = (position[0], position[1], theta)
+    table_height = config.franka.table_height if config.arm.robot in REAL_ROBOTS else 0.0
+    unmounted = CameraMount((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), config.camera.distance + table_height)
+    return unmounted.camera_pose(transform.T.ravel())
+
+
+def check_camera_pose(pose: CameraPose, config: Config) -> CheckResult:
+    """Check that motion can start at the camera's pose."""
+    name, (x, y, theta) = "camera pose", pose.planar
     message = (
-        f"x {state[0]:.3f} m, y {state[1]:.3f} m, theta {state[2]:.2f} rad, height error {height_error * 1e3:+.0f} mm, "
-        f"tilt {math.degrees(tilt):.1f} degrees"
+        f"x {x:.3f} m, y {y:.3f} m, theta {theta:.2f} rad, height error {pose.height * 1e3:+.0f} mm, "
+        f"tilt {math.degrees(pose.tilt_angle):.1f} degrees"
     )
-    if abs(height_error) > franka.max_height_error or tilt > franka.max_tilt:
-        return error(
-            name,
-            message,
-            f"motion starts only within {franka.max_height_error * 1e3:.0f} mm and "
-            f"{math.degrees(franka.max_tilt):.1f} degrees (franka/max_height_error, franka/max_tilt)",
-            "guide the arm by hand until the camera looks straight down from camera/distance above the table; check "
-            "franka/table_height, franka/camera_position and franka/camera_rotation",
-        )
-    box = config.workspace.box()
-    excess = np.maximum(np.subtract(box.lower, state), np.subtract(state, box.upper))
-    axes = ", ".join(f"workspace/{axis}" for axis, far in zip(STATE_NAMES, excess) if far > _BORDER_TOLERANCE)
-    if np.any(excess > (franka.max_outside, franka.max_outside, franka.max_turn_outside)):
-        return error(
-            name,
-            f"{message}: far outside {axes}",
-            "motion does not start there (franka/max_outside, franka/max_turn_outside)",
-            "guide the arm by hand into the workspace, or correct the camera mount",
-        )
+    try:
+        require_startable(pose, config)
+    except ArmNotReadyError as problem:
+        remedy = "guide the arm by hand, or correct the configuration; see the message"
+        return error(name, f"{message}: {problem}", "motion does not start there", remedy)
+    outside = distances_outside(pose, config)
+    axes = ", ".join(f"workspace/{axis}" for axis, far in zip(STATE_NAMES, outside) if far > _BORDER_TOLERANCE)
     if axes:
         return warning(
             name,

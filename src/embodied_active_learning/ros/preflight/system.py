@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from typing import Any, Dict, List, Optional, Tuple
 
@@ -203,7 +202,7 @@ class System:
         """Check tf, and whether motion can start at the camera's pose."""
         states = list(self._topics["state"].messages)
         try:
-            pose, state = self._tf.camera_pose(states)
+            transform, state = self._tf.camera_pose(states)
         except tf2_ros.TransformException as problem:
             if not self._real and self._graph.publishers.get(rospy.resolve_name("tf")):
                 return [ok("frames", "tf is published while the arm moves")]
@@ -216,10 +215,13 @@ class System:
                     "camera_pipeline the camera mount",
                 )
             ]
-        theta = math.atan2(pose[1, 0], pose[0, 0])
-        results = [robot.check_camera_pose(pose[:3, 3].tolist(), pose[:3, 2].tolist(), theta, self._config)]
+        try:
+            pose = robot.camera_pose(transform, self._config)
+        except ObservationError as problem:
+            return [error("camera pose", str(problem), "motion does not start there", "read the message")]
+        results = [robot.check_camera_pose(pose, self._config)]
         if state is not None:
-            results.insert(0, robot.check_frames((pose[0, 3], pose[1, 3], theta), state_arrays(state)[0].tolist()))
+            results.insert(0, robot.check_frames(pose.planar, state_arrays(state)[0].tolist()))
         elif states:
             results.insert(
                 0,
