@@ -19,6 +19,7 @@ from embodied_active_learning.errors import (
 )
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.ros.arm import lease, retry, retrying_arm
+from embodied_active_learning.ros.arm.client import ArmClient
 from embodied_active_learning.ros.conversions import image_message, state_message
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
 from threads import in_a_thread, wait_for
@@ -31,6 +32,7 @@ class Arm:
     """Records its calls; the next ones fail with `failures`, in their order."""
 
     can_restore = False
+    stop_if_commander = ArmClient.stop_if_commander
 
     def __init__(self):
         self.calls = []
@@ -322,6 +324,18 @@ def test_denied_heartbeat_ends_control(arm, camera, clock):
     assert not retrying.in_control, "before the timeout of the command"
     retrying.stop()
     assert ("stop",) not in arm.calls
+
+
+def test_stop_is_sent_without_response_to_heartbeat(arm, retrying):
+    """As while the node shuts down."""
+
+    def fail():
+        raise NoResponseError("no response")
+
+    retrying.execute(FORWARD)
+    arm.heartbeat = fail
+    retrying.stop()
+    assert arm.calls[-1] == ("stop",)
 
 
 def test_stop_releases_control_once(arm, retrying):

@@ -1,1 +1,1 @@
-"""Arm nodes and their clients."""
+"""Arm nodes, their clients, and what moves the arm and observes with it."""

@@ -7,7 +7,7 @@ from typing import Any, Callable, Sequence
 import rospy
 from std_srvs.srv import Trigger
 
-from embodied_active_learning.errors import ArmFailedError, NoResponseError
+from embodied_active_learning.errors import ArmFailedError, CommandError, NoResponseError
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.causes import error_of
@@ -65,6 +65,19 @@ class ArmClient:
     def heartbeat(self) -> bool:
         """Extend this node's control of the arm; return whether the arm granted it. Raises CommandError."""
         return _call(self._heartbeat).success
+
+    def stop_if_commander(self) -> None:
+        """Stop the arm now if this node commands it. Raises CommandError if the arm does not confirm.
+
+        A stop by any other node would be an emergency stop, and an arm that has restarted has no commander. Without a
+        response to the heartbeat, as while this node shuts down, the stop is sent nevertheless.
+        """
+        try:
+            is_commander = self.heartbeat()
+        except CommandError:
+            is_commander = True
+        if is_commander:
+            self.stop()
 
 
 def _command(service: Any, *arguments: Any) -> PlanarState:

@@ -198,10 +198,7 @@ class RetryingArm:
         """Stop the command in progress, so that the current call raises its error without a retry; from any thread."""
         self._retry.cancel()
         try:
-            # Without the lock, which the command in progress holds. Only the commander's heartbeat is granted: a stop
-            # by another node would be an emergency stop.
-            if self._arm.heartbeat():
-                self._arm.stop()
+            self._arm.stop_if_commander()  # without the lock, which the command in progress holds
         except CommandError as error:
             rospy.logwarn("stop not confirmed: %s", error)
 
@@ -335,22 +332,13 @@ class RetryingArm:
     def _release(self, outcome: Future) -> None:
         try:
             with self._arm_lock:
-                # A stop by any node but its commander is an emergency stop, and an arm that has restarted has no
-                # commander: so ask first.
-                if self.in_control and self._may_be_commander():
-                    self._arm.stop()
+                if self.in_control:
+                    self._arm.stop_if_commander()
                 self._lease.end()
                 self._released = True
             outcome.set_result(None)
         except CommandError as error:
             outcome.set_exception(error)
-
-    def _may_be_commander(self) -> bool:
-        """Whether the arm accepts this node's heartbeat, or does not respond, as while this node shuts down."""
-        try:
-            return self._arm.heartbeat()
-        except CommandError:
-            return True
 
     def _wait_for_retry(self, error: EmbodiedActiveLearningError) -> None:
         """Report a failure and wait until the retry is due. Raises the error if it is not retried any more."""

@@ -87,15 +87,9 @@ def measure_latency(arm: ArmClient, config: Config) -> LatencyEstimate:
                 lease.renew()
     finally:
         lease.end()
-        _stop(arm)
+        try:
+            arm.stop_if_commander()
+        except CommandError as error:
+            rospy.logwarn("stop not confirmed: %s; the arm stops after the last command", error)
     wall_sleep(DELAY)
     return recorder.estimate()
-
-
-def _stop(arm: ArmClient) -> None:
-    """Stop the arm if this node commands it: a stop by any other node would be an emergency stop."""
-    try:
-        if arm.heartbeat():
-            arm.stop()
-    except CommandError as error:
-        rospy.logwarn("stop not confirmed: %s; the arm stops after the last command", error)

@@ -9,8 +9,9 @@ import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmBusyError, NoResponseError
-from embodied_active_learning.ros.camera import latency_measurement
-from embodied_active_learning.ros.camera.latency_measurement import LatencyRecorder, measure_latency
+from embodied_active_learning.ros.arm import latency_measurement
+from embodied_active_learning.ros.arm.client import ArmClient
+from embodied_active_learning.ros.arm.latency_measurement import LatencyRecorder, measure_latency
 from embodied_active_learning.ros.conversions import image_message, state_message
 from launching import ROOT
 
@@ -30,6 +31,8 @@ class Recorder(LatencyRecorder):
 
 class Arm:
     """Turns without delay, and sends its states and images to the recorder."""
+
+    stop_if_commander = ArmClient.stop_if_commander
 
     def __init__(self):
         self.calls = []
@@ -115,10 +118,10 @@ def test_arm_of_another_commander_is_not_stopped(arm):
 
 
 def test_unconfirmed_stop_keeps_first_error(arm):
-    def heartbeat():
+    def fail():
         raise NoResponseError("gone")
 
-    arm.moves_until_failure, arm.heartbeat = 0, heartbeat
+    arm.moves_until_failure, arm.heartbeat, arm.stop = 0, fail, fail
     with pytest.raises(ArmBusyError):
         measure_latency(arm, Config())
 
