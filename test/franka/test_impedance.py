@@ -1,11 +1,11 @@
-"""Lag and push under the impedance controller's law, against values computed by hand and the stand-in."""
+"""Lag under the impedance controller's law, against values computed by hand and the stand-in."""
 
 import math
 
 import pytest
 
 from embodied_active_learning.config import Config, load_profile
-from embodied_active_learning.franka.impedance import blocked_push, lag, lead_warnings, required_leads, turn_lag
+from embodied_active_learning.franka.impedance import lag, lead_warnings, required_leads, turn_lag
 from fake_franka.impedance import ImpedanceHand, inverse, multiply, rotation_vector, turned_by
 from launching import ROOT
 
@@ -44,11 +44,6 @@ def test_lab_profile_reaches_its_top_speeds():
 def test_unreachable_speeds_are_reported():
     fast = Config.from_dict({**LAB.to_dict(), "arm": {**LAB.to_dict()["arm"], "max_turn_rate": 0.6, "max_speed": 0.2}})
     assert [line.split()[0] for line in lead_warnings(fast)] == ["arm/max_speed", "arm/max_turn_rate"]
-
-
-def test_push_of_blocked_arm():
-    assert blocked_push(LAB) == pytest.approx((10.0, 30.0 * math.sin(0.25)))
-    assert blocked_push(LAB).angular < 8.0
 
 
 def test_spring_overcomes_joint_friction_at_turn_tolerance():

@@ -1,4 +1,4 @@
-"""Steady-state behaviour of cartesian_impedance_example_controller: how far the arm trails, and how hard it pushes.
+"""Steady-state behaviour of cartesian_impedance_example_controller: how far the arm trails its set-point.
 
 The controller filters the set-point with a time constant of 0.2 s. Its force is stiffness times distance, its torque
 stiffness times the vector part of the error quaternion, sin(angle / 2), and its damping 2 sqrt(stiffness) for both.
@@ -19,7 +19,7 @@ _STATE_PERIOD = 1.0 / 30.0
 
 
 class LinearAngular(NamedTuple):
-    """A linear quantity [m or N] and a rotational one [rad or Nm]."""
+    """A linear quantity [m] and a rotational one [rad]."""
 
     linear: float
     angular: float
@@ -33,14 +33,6 @@ def lag(speed: float, stiffness: float) -> float:
 def turn_lag(rate: float, stiffness: float) -> float:
     """Return the angle [rad] by which the arm trails at a turn rate [rad/s] and a stiffness [Nm/rad]."""
     return rate * FILTER_TIME + 2.0 * math.asin(min(1.0, 2.0 * rate / math.sqrt(stiffness)))
-
-
-def blocked_push(config: Config) -> LinearAngular:
-    """Return force [N] along each axis and torque [Nm] about each that a blocked arm exerts at most."""
-    franka = config.franka
-    return LinearAngular(
-        franka.stiffness * franka.max_lead, franka.turn_stiffness * math.sin(franka.max_turn_lead / 2.0)
-    )
 
 
 def required_leads(config: Config) -> LinearAngular:

@@ -65,7 +65,6 @@ class RetryingArm:
         self._lease = Lease(config.arm.commander_timeout, self._arm.heartbeat)
         self._retry = RetryPolicy(config.arm.retries, timeout)
         self._arm_lock = threading.Lock()  # held during a call of the arm's services
-        self._pause_lock = threading.Lock()
         self._running = threading.Event()
         self._running.set()
         self._waiting_for = ""
@@ -82,11 +81,6 @@ class RetryingArm:
     def hold(self) -> VelocityCommand:
         """The command that holds the arm still for one exploration step."""
         return self._hold
-
-    @property
-    def error(self) -> str:
-        """Why the arm is held still; empty while commands succeed."""
-        return self._error
 
     def health(self, active: Health) -> Health:
         """Return the diagnostic status: paused, held still and why, or else `active`."""
@@ -202,23 +196,17 @@ class RetryingArm:
         except CommandError as error:
             rospy.logwarn("stop not confirmed: %s", error)
 
-    def pause(self, waiting_for: str) -> bool:
-        """Hold back all further commands; return False if they were held back already.
+    def pause(self, waiting_for: str) -> None:
+        """Hold back all further commands.
 
         The command in progress continues: call stop to make the arm stand still. waiting_for: shown in diagnostics.
         """
-        with self._pause_lock:
-            changed = not self.is_paused
-            self._waiting_for = waiting_for
-            self._running.clear()
-            return changed
+        self._waiting_for = waiting_for
+        self._running.clear()
 
-    def resume(self) -> bool:
-        """Allow commands again; return False if they were not held back."""
-        with self._pause_lock:
-            changed = self.is_paused
-            self._running.set()
-            return changed
+    def resume(self) -> None:
+        """Allow commands again."""
+        self._running.set()
 
     def wait_while_paused(self) -> bool:
         """Wait until commands are allowed; return whether that took waiting. Raises ShutdownRequestedError."""
