@@ -3,15 +3,63 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Tuple
+from dataclasses import dataclass, field
+from typing import Mapping, Tuple
 
 from embodied_active_learning.schema import setting
 from embodied_active_learning.workspace import STATE_NAMES, Workspace
 
-SIMULATED, FRANKA, VELOCITY_SERVICE, RECORDED = ROBOTS = ("pybullet", "franka", "velocity_service", "recording")
-REAL_ROBOTS = (FRANKA, VELOCITY_SERVICE)
+SIMULATED, FRANKA, VELOCITY_SERVICE, RECORDED = "pybullet", "franka", "velocity_service", "recording"
 _DIMENSIONS = len(STATE_NAMES)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What the package needs to know about a robot, besides its node and its launch file. All are Pandas.
+
+    Attributes:
+        name: Value of arm/robot; its node is NAME_arm, in nodes/ and launch/.
+        start: Command that starts its arm.
+        profile: Robot profile in config/ that applies if none is given; only a real robot has one.
+        packages: Python packages that only its nodes need, and the command that installs each.
+        has_end_effector_frame: Whether its driver publishes the end effector's frame, to which the camera is attached.
+    """
+
+    name: str
+    start: str
+    profile: str = ""
+    packages: Mapping[str, str] = field(default_factory=dict)
+    has_end_effector_frame: bool = False
+
+    @property
+    def node(self) -> str:
+        """Name of its node, and of the node's launch file."""
+        return f"{self.name}_arm"
+
+
+_LAUNCH = "roslaunch embodied_active_learning"
+ARMS = {
+    robot.name: robot
+    for robot in (
+        Robot(SIMULATED, f"{_LAUNCH} learn.launch stay:=true"),
+        Robot(
+            FRANKA,
+            f"{_LAUNCH} robot.launch robot_ip:=...",
+            "franka",
+            {
+                "actionlib": "apt-get install ros-noetic-actionlib",
+                "franka_msgs": "apt-get install ros-noetic-franka-ros",
+                "controller_manager_msgs": "apt-get install ros-noetic-controller-manager-msgs",
+                "dynamic_reconfigure": "apt-get install ros-noetic-dynamic-reconfigure",
+            },
+            has_end_effector_frame=True,
+        ),
+        Robot(VELOCITY_SERVICE, f"{_LAUNCH} learn.launch robot:={VELOCITY_SERVICE} stay:=true", "franka"),
+    )
+}
+"""The robots with an arm, by name."""
+REAL_ROBOTS = tuple(robot.name for robot in ARMS.values() if robot.profile)
+ROBOTS = (*ARMS, RECORDED)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,11 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
+
+from embodied_active_learning.config import find_profile
+from embodied_active_learning.hardware_config import ARMS
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -21,3 +26,10 @@ def test_package_xml_names_used_ros_packages():
         )
     used = {"python3-opencv" if name == "cv2" else name for name in used}
     assert used - named == {manifest.findtext("name")}
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_each_arm_has_node_launch_file_and_profile(arm):
+    assert (ROOT / "nodes" / arm.node).is_file()
+    assert (ROOT / "launch" / f"{arm.node}.launch").is_file()
+    assert not arm.profile or Path(find_profile(arm.profile, ROOT / "config")).is_file()

@@ -22,6 +22,7 @@ from embodied_active_learning.config import (
 )
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import parse_yaml, short_repr
+from embodied_active_learning.hardware_config import ARMS
 from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
 from embodied_active_learning.schema import check_keys, settings
 from embodied_active_learning.session.session import Session, check_session, session_path, session_root
@@ -60,8 +61,8 @@ def resolve_config(
         profile: Name of a profile in config/, or path of a YAML file. Without one, the defaults, or the configuration
             of the session that is resumed.
         changes: Sections of keys that override the profile.
-        robot_profile: The same for a real robot, whose limits override the run's profile; by default the one with the
-            robot's name.
+        robot_profile: The same for a real robot, whose limits override the run's profile; by default the one that
+            ARMS lists.
         recorded: Sections of keys that recorded images were made with; defaults of a new session of these images.
         needs_arm: False if a resumed session is only read: its world may be missing on this computer.
 
@@ -153,7 +154,7 @@ def _base(
             stored = Session.open_read_only(path).config.to_dict()
     base = stored if stored and not profile else merge(stored, load_profile(find_profile(profile or "default", folder)))
     if not robot_profile and not stored and robot in REAL_ROBOTS:
-        robot_profile = FRANKA
+        robot_profile = ARMS[robot].profile
     return merge(base, load_profile(find_profile(robot_profile, folder))) if robot_profile else base
 
 

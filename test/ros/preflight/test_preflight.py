@@ -9,7 +9,7 @@ import pytest
 import rospy
 from sensor_msgs.msg import CameraInfo
 
-from embodied_active_learning.config import REAL_ROBOTS, SIMULATED, Config
+from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.franka.report import CONTROLLER, Controller
 from embodied_active_learning.geometry import fixed_axes_rotation, intrinsics, optical_rotation
@@ -26,8 +26,7 @@ from embodied_active_learning.ros.preflight.check_result import (
 )
 from embodied_active_learning.ros.preflight.network import OwnAddress, Peer
 from embodied_active_learning.ros.preflight.robot import STATE_CONTROLLER
-from embodied_active_learning.ros.preflight.run import PACKAGES, find_config
-from embodied_active_learning.ros.preflight.system import PARAMETERS, START
+from embodied_active_learning.ros.preflight.run import find_config
 from embodied_active_learning.ros.preflight.topics import TopicLimits, TopicStatistics, check_topic
 
 CONFIG = Config()
@@ -52,13 +51,6 @@ def test_robot_profile_names_the_robot(tmp_path, profile, expected):
     path.write_text(profile)
     config, _ = find_config(str(path), has_master=False)
     assert config.arm.robot == expected
-
-
-def test_packages_and_start_are_known_for_each_robot():
-    arms = {SIMULATED, *REAL_ROBOTS}
-    assert set(PACKAGES) == arms
-    assert set(START) == arms
-    assert {f"{robot}_arm/stopped_by" for robot in arms} <= set(PARAMETERS)
 
 
 def test_summary_and_exit_code_of_the_most_severe_result():

@@ -16,13 +16,13 @@ from embodied_active_learning.config import (
     REAL_ROBOTS,
     RECORDED,
     SIMULATED,
-    VELOCITY_SERVICE,
     Config,
     find_profile,
     load_profile,
     merge,
 )
 from embodied_active_learning.errors import CommandError
+from embodied_active_learning.hardware_config import ARMS
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.config_check import require_matching_config
 from embodied_active_learning.ros.preflight import computer
@@ -34,18 +34,7 @@ from embodied_active_learning.session.session import session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 
 _COMMON_PACKAGES = dict.fromkeys(("torch", "cv2", "pybullet", "tf2_ros"), "make install")
-PACKAGES = {
-    SIMULATED: _COMMON_PACKAGES,
-    VELOCITY_SERVICE: _COMMON_PACKAGES,
-    FRANKA: {
-        **_COMMON_PACKAGES,
-        "actionlib": "apt-get install ros-noetic-actionlib",
-        "franka_msgs": "apt-get install ros-noetic-franka-ros",
-        "controller_manager_msgs": "apt-get install ros-noetic-controller-manager-msgs",
-        "dynamic_reconfigure": "apt-get install ros-noetic-dynamic-reconfigure",
-    },
-}
-"""Python packages of the nodes that may be missing, and the command that installs each."""
+"""Python packages of all nodes that may be missing, and the command that installs each."""
 _READ_MESSAGE = "read the message"
 
 
@@ -160,7 +149,7 @@ def check_match(config: Config, values: Any) -> CheckResult:
 
 def check_computer(report: Report, config: Config) -> None:
     """Run the checks that need no master."""
-    required = PACKAGES.get(config.arm.robot, _COMMON_PACKAGES)
+    required = {**_COMMON_PACKAGES, **ARMS.get(config.arm.robot, ARMS[SIMULATED]).packages}
     missing = [name for name in required if importlib.util.find_spec(name) is None]
     device, cores = config.training.device, len(os.sched_getaffinity(0))
     path_python = shutil.which("python3") or ""

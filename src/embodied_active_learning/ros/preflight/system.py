@@ -11,8 +11,9 @@ import rospy
 import tf2_ros
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from embodied_active_learning.config import FRANKA, REAL_ROBOTS, SIMULATED, VELOCITY_SERVICE, Config
+from embodied_active_learning.config import FRANKA, REAL_ROBOTS, SIMULATED, Config
 from embodied_active_learning.errors import ObservationError, RobotError
+from embodied_active_learning.hardware_config import ARMS
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.camera.image_buffer import FUTURE_TOLERANCE
@@ -31,30 +32,21 @@ from embodied_active_learning.ros.preflight.ros_graph import (
 )
 from embodied_active_learning.ros.preflight.topics import TopicLimits, check_topic
 
-FRANKA_PACKAGES = ("franka_msgs", "controller_manager_msgs", "dynamic_reconfigure", "actionlib")
 try:
     from embodied_active_learning.ros.arm import franka_interface
 except ModuleNotFoundError as missing:
-    if missing.name not in FRANKA_PACKAGES:
+    if missing.name not in ARMS[FRANKA].packages:
         raise
     franka_interface = None  # type: ignore[assignment]
 
 SERVICES = (names.ARM_MOVE, names.ARM_GO_TO, names.ARM_HEARTBEAT, names.ARM_STOP, names.ARM_RECOVER)
 PARAMETERS = (
     names.FAILURE_PARAMETER,
-    "pybullet_arm/stopped_by",
-    "franka_arm/stopped_by",
-    "velocity_service_arm/stopped_by",
+    *(f"{arm.node}/stopped_by" for arm in ARMS.values()),
     names.PLANNER_PAUSED_BY,
     "fingerprinter/has_paused_planner",
 )
 """Persistent parameters, which launch files clear."""
-START = {
-    SIMULATED: "roslaunch embodied_active_learning learn.launch stay:=true",
-    FRANKA: "roslaunch embodied_active_learning robot.launch robot_ip:=...",
-    VELOCITY_SERVICE: "roslaunch embodied_active_learning learn.launch robot:=velocity_service stay:=true",
-}
-"""How to start the arm of each robot, for remedies."""
 
 
 class System:
@@ -64,7 +56,7 @@ class System:
         """Observe topics and tf for `seconds` of wall time; less for a simulated arm, which may rest."""
         self._config = config
         self._real = config.arm.robot in REAL_ROBOTS
-        self._start = START.get(config.arm.robot, START[SIMULATED])
+        self._start = ARMS.get(config.arm.robot, ARMS[SIMULATED]).start
         self._graph = read_graph()
         self._topics = {key: TopicMonitor(*topic, self._graph) for key, topic in self._topic_types().items()}
         self._tf = TfMonitor()
@@ -254,7 +246,7 @@ class System:
 def _cannot_read(name: str, topic: str) -> CheckResult:
     return error(
         name,
-        f"{rospy.resolve_name(topic)} cannot be read: {', '.join(FRANKA_PACKAGES)} are not all installed",
+        f"{rospy.resolve_name(topic)} cannot be read: {', '.join(ARMS[FRANKA].packages)} are not all installed",
         "franka_arm cannot read it either",
         "apt-get install ros-noetic-franka-ros, or run preflight on the robot's computer",
     )
