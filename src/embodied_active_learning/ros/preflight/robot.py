@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import List, Mapping, Sequence, Tuple
+from typing import Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import REAL_ROBOTS, Config
 from embodied_active_learning.errors import ArmNotReadyError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
-from embodied_active_learning.franka.report import CONTROLLER, Controller, Report
+from embodied_active_learning.franka.report import CONTROLLER, Controller, Report, RobotMode
 from embodied_active_learning.franka.start_check import distances_outside, require_startable
 from embodied_active_learning.ros.camera.v4l2 import set_command
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
@@ -23,25 +23,25 @@ POSITION_TOLERANCE, ANGLE_TOLERANCE = 0.002, 0.01
 """Largest difference [m], [rad] between tf and arm/state while the arm rests."""
 LOAD_TOLERANCE = 0.01
 """Largest difference [kg] between the robot's load and franka/load_mass."""
-_READY_MODES = ("idle", "move")
+_READY_MODES = (RobotMode.IDLE, RobotMode.MOVE)
 _BORDER_TOLERANCE = 1e-3  # m, rad: an arm that rests at the border counts as inside
-_MODE_REMEDIES = {
-    "user stopped": "release the user stop, then rosservice call /arm/recover",
-    "reflex": "remove what the arm has touched, then rosservice call /arm/recover",
-    "guiding": "release the guiding buttons of the hand, then rosservice call /arm/recover",
+_MODE_REMEDIES: Dict[int, str] = {
+    RobotMode.USER_STOPPED: "release the user stop, then rosservice call /arm/recover",
+    RobotMode.REFLEX: "remove what the arm has touched, then rosservice call /arm/recover",
+    RobotMode.GUIDING: "release the guiding buttons of the hand, then rosservice call /arm/recover",
 }
 
 
 def check_robot_state(mode: int, errors: Sequence[str], success_rate: float) -> List[CheckResult]:
     """Check robot_mode, current_errors (names) and control_command_success_rate of franka_states."""
     mode_name = Report(mode=mode).mode_name
-    if errors or mode_name not in _READY_MODES:
-        remedy = _MODE_REMEDIES.get(mode_name, "rosservice call /arm/recover; see Desk")
+    if errors or mode not in _READY_MODES:
+        remedy = _MODE_REMEDIES.get(mode, "rosservice call /arm/recover; see Desk")
         message = f"{mode_name}, errors: {', '.join(errors) or 'none'}"
         results = [error("robot mode", message, "the robot accepts no motion in this state", remedy)]
     else:
         results = [ok("robot mode", f"{mode_name}, no errors")]
-    if mode_name != "move":  # without a running controller there are no commands, and the rate is 0
+    if mode != RobotMode.MOVE:  # without a running controller there are no commands, and the rate is 0
         return results
     message = f"{success_rate:.0%} of the commands arrive in time"
     if success_rate < MIN_SUCCESS_RATE:
