@@ -1,4 +1,4 @@
-"""Publishes the stored fingerprints as messages, and as markers for rviz."""
+"""Publishes the stored fingerprints as messages and as markers for rviz, and reports new ones."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import rospy
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
+from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.msg import Fingerprint as FingerprintMessage
 from embodied_active_learning.msg import FingerprintArray
@@ -17,8 +18,10 @@ from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.conversions import image_message
 from embodied_active_learning.ros.objects.messages import fingerprint_message
+from embodied_active_learning.ros.runtime.node import try_to_draw
 from embodied_active_learning.ros.rviz.object_markers import fingerprint_markers
 from embodied_active_learning.session.paths import SessionPaths
+from embodied_active_learning.simulation.truth import true_objects
 
 
 class FingerprintOutput:
@@ -49,3 +52,12 @@ class FingerprintOutput:
                 self.publish(stored.load_fingerprints(session))
         except SessionError as error:
             rospy.logerr("stored fingerprints are not published: %s", error)
+
+
+def report_fingerprints(session: Path, found: FingerprintSet, config: Config) -> None:
+    """Draw the fingerprints of a session folder, and log them with the path of the figure."""
+    draw = import_module("embodied_active_learning.figures.fingerprint_sheet").draw_fingerprints  # slow
+    path = SessionPaths(session).figures / "fingerprints.png"
+    figure = try_to_draw(draw, path, found, true_objects(config), config.session.pdf_figures) or "none"
+    listed = ", ".join(item.name for item in found.fingerprints)
+    rospy.loginfo("fingerprints: %s\n  session  %s\n  figure   %s", listed, session, figure)
