@@ -74,6 +74,12 @@ def test_unexpected_error_aborts_the_goal(monkeypatch):
     assert aborted == [("MemoryError('no memory left')",) * 2]
 
 
+def test_rospy_without_the_replaced_method_is_an_error_at_start(monkeypatch):
+    monkeypatch.setattr(task_server, "advertise_service", lambda *_: SimpleNamespace())
+    with pytest.raises(AttributeError, match="_handle_request"):
+        TaskServer("identify", Identify, IdentifyAction, ExclusiveTask("an identification"), lambda *_: {})
+
+
 def test_connection_is_lost_when_caller_closes():
     here, caller = socket.socketpair()
     with here:

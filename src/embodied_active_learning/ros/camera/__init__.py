@@ -1,1 +1,1 @@
-"""Camera images paired with the arm state at their stamp."""
+"""From the camera driver to the planner: conversion, rectification, camera matrix, and buffers of images and poses."""

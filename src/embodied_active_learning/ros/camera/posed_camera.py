@@ -1,4 +1,4 @@
-"""Camera images paired with the arm state at their stamp."""
+"""A camera of which each image comes with the arm state at its stamp; what the planner observes with."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""ROS side of fingerprinting and identification."""
+"""What fingerprinter and identifier do beyond the library: move the arm, read new images, publish and report."""

@@ -111,7 +111,11 @@ class TaskServer:
         rospy.Subscriber(f"{name}/cancel", GoalID, self._cancel_service, queue_size=10)
 
     def _keep_connection(self, service: Any) -> None:
-        """Keep the connection of each call: rospy does not pass it to the handler."""
+        """Keep the connection of each call: rospy does not pass it to the handler.
+
+        This replaces a private method of rospy, tested with rospy 1.15.15. Without that method, the node fails at
+        start with an AttributeError that names it.
+        """
         handle = service._handle_request
 
         def handle_with_connection(transport: Any, request: Any) -> None:

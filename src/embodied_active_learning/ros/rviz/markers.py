@@ -1,4 +1,4 @@
-"""Markers of fingerprints and decisions: a disc on the table and a label above."""
+"""Shapes and colours that the markers of this package share: a disc on the table, a label above, a plain marker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Markers of fingerprints, decisions and unknown objects: a disc and a label each."""
+"""What rviz shows of fingerprints, decisions and unknown objects: a disc and a label each, made by `markers`."""
 
 from __future__ import annotations
 
