@@ -80,7 +80,7 @@ class FakeVelocityService:
             return self._robot.pose.copy()
 
     def _publish(self):
-        message = PoseStamped(Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME), _message(self._pose()))
+        message = PoseStamped(Header(stamp=rospy.Time.now(), frame_id=names.FRAMES.base), _message(self._pose()))
         if not self._is_silent:
             self._poses.publish(message)
 

@@ -127,14 +127,14 @@ def test_state_interpolation_takes_shorter_rotation():
 @pytest.fixture
 def fr3():
     """A robot whose base stands 5 cm above its table."""
-    names.use_robot("fr3", -0.05)
+    names.FRAMES.use_robot("fr3", -0.05)
     yield
-    names.use_robot("panda", 0.0)
+    names.FRAMES.use_robot("panda", 0.0)
 
 
 def test_frames_follow_arm_id(fr3):
     assert conversions.state_message(STAMP, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)).header.frame_id == "fr3_link0"
-    assert names.END_EFFECTOR_FRAME == "fr3_EE"
+    assert names.FRAMES.end_effector == "fr3_EE"
 
 
 def test_heights_are_those_above_the_table(fr3):

@@ -26,7 +26,7 @@ Values = Union[np.ndarray, Sequence[float]]
 
 def state_message(stamp: rospy.Time, state: Values, velocity: Values) -> PlanarState:
     """Convert a state (3,) [m, m, rad] and its velocity (3,) [m/s, m/s, rad/s] in the base frame."""
-    return PlanarState(Header(stamp=stamp, frame_id=names.BASE_FRAME), *map(float, state), *map(float, velocity))
+    return PlanarState(Header(stamp=stamp, frame_id=names.FRAMES.base), *map(float, state), *map(float, velocity))
 
 
 def state_arrays(message: PlanarState) -> Tuple[np.ndarray, np.ndarray]:
@@ -98,14 +98,14 @@ def camera_info_message(stamp: rospy.Time, intrinsics: np.ndarray, height: int, 
 
 def mount_message(stamp: rospy.Time, mount: CameraMount) -> TransformStamped:
     """Convert the camera mount to the transform of camera_optical_frame in the end effector frame."""
-    header = Header(stamp=stamp, frame_id=names.END_EFFECTOR_FRAME)
+    header = Header(stamp=stamp, frame_id=names.FRAMES.end_effector)
     transform = Transform(Vector3(*mount.position), Quaternion(*quaternion(mount.rotation)))
     return TransformStamped(header, names.CAMERA_FRAME, transform)
 
 
 def camera_message(stamp: rospy.Time, position: np.ndarray, rotation: np.ndarray) -> TransformStamped:
     """Return the transform of camera_optical_frame, at position (3,) [m] with rotation (3, 3), in the base frame."""
-    header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
+    header = Header(stamp=stamp, frame_id=names.FRAMES.base)
     transform = Transform(Vector3(*map(float, position)), Quaternion(*quaternion(rotation)))
     return TransformStamped(header, names.CAMERA_FRAME, transform)
 
@@ -120,7 +120,7 @@ def pose_matrix(position: Union[Point, Vector3], orientation: Quaternion) -> np.
 
 def path_message(stamp: rospy.Time, states: np.ndarray, height: float) -> Path:
     """Convert states (N, 3) [m, m, rad] to a path at a height above the table [m]."""
-    header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
+    header = Header(stamp=stamp, frame_id=names.FRAMES.base)
     return Path(header, [PoseStamped(header, pose_message(state, height)) for state in states])
 
 
@@ -128,14 +128,14 @@ def pose_message(state: Values, height: float = 0.0) -> Pose:
     """Return the pose in the base frame of (x [m], y [m], theta [rad]) at a height above the table [m]."""
     x, y, theta = map(float, state)
     turn = Quaternion(0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
-    return Pose(Point(x, y, names.TABLE_HEIGHT + height), turn)
+    return Pose(Point(x, y, names.FRAMES.table_height + height), turn)
 
 
 def cloud_message(stamp: rospy.Time, points: np.ndarray, values: np.ndarray) -> PointCloud2:
     """Convert points (N, 3) [m], z above the table, with values (N,) to a cloud with an intensity channel."""
-    data = np.column_stack([points + np.array([0.0, 0.0, names.TABLE_HEIGHT]), values]).astype("<f4")
+    data = np.column_stack([points + np.array([0.0, 0.0, names.FRAMES.table_height]), values]).astype("<f4")
     fields = [PointField(n, 4 * i, PointField.FLOAT32, 1) for i, n in enumerate(("x", "y", "z", "intensity"))]
-    header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
+    header = Header(stamp=stamp, frame_id=names.FRAMES.base)
     return PointCloud2(header, 1, len(data), fields, False, 16, 16 * len(data), data.tobytes(), True)
 
 
@@ -152,7 +152,7 @@ def occupancy_grid_message(stamp: rospy.Time, values: np.ndarray, x0: float, y0:
     width, height = values.shape
     corner = pose_message((x0 - cell / 2.0, y0 - cell / 2.0, 0.0), 0.0)
     percent = np.rint(100.0 * np.clip(values, 0.0, 1.0)).astype(np.int8)
-    header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
+    header = Header(stamp=stamp, frame_id=names.FRAMES.base)
     return OccupancyGrid(header, MapMetaData(stamp, cell, width, height, corner), percent.T.ravel().tolist())
 
 
@@ -161,8 +161,8 @@ def workspace_marker(workspace: Workspace, height: float) -> Marker:
     (x0, y0), (x1, y1) = workspace.lower[:2], workspace.upper[:2]
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     marker = Marker(type=Marker.LINE_LIST, action=Marker.ADD, ns="workspace")
-    marker.header.frame_id = names.BASE_FRAME
-    marker.pose.position.z = names.TABLE_HEIGHT
+    marker.header.frame_id = names.FRAMES.base
+    marker.pose.position.z = names.FRAMES.table_height
     marker.pose.orientation.w = 1.0
     marker.scale.x = 0.002
     marker.color = ColorRGBA(0.1, 0.1, 0.1, 0.9)

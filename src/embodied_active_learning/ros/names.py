@@ -88,17 +88,25 @@ STOPPED_BY = "~stopped_by"
 PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 
-# Of the simulated robot, see use_robot.
-BASE_FRAME = "panda_link0"
-END_EFFECTOR_FRAME = "panda_EE"  # of franka_state_controller
-TABLE_HEIGHT = 0.0  # m, of the table's surface in the base frame
 CAMERA_FRAME = "camera_optical_frame"
 
 
-def use_robot(arm_id: str, table_height: float) -> None:
-    """Use the frames of the robot with this prefix, and the height [m] of its table, in the whole process.
+class RobotFrames:
+    """Frames of this process's robot, and the height of its table; those of the simulated robot unless set.
 
-    Call it before any message is made.
+    Attributes of an object, because a module that imported a constant would keep its first value.
     """
-    global BASE_FRAME, END_EFFECTOR_FRAME, TABLE_HEIGHT
-    BASE_FRAME, END_EFFECTOR_FRAME, TABLE_HEIGHT = f"{arm_id}_link0", f"{arm_id}_EE", table_height
+
+    base = "panda_link0"
+    end_effector = "panda_EE"  # of franka_state_controller
+    table_height = 0.0  # m, of the table's surface in the base frame
+
+    def use_robot(self, arm_id: str, table_height: float) -> None:
+        """Use the frames of the robot with this prefix, and the height [m] of its table, in the whole process.
+
+        Call it before any message is made.
+        """
+        self.base, self.end_effector, self.table_height = f"{arm_id}_link0", f"{arm_id}_EE", table_height
+
+
+FRAMES = RobotFrames()

@@ -27,7 +27,7 @@ def test_world_markers_show_table_and_objects():
     duck = SceneObject("duck", "duck", (0.4, 0.1, 0.02), math.pi / 2, (0.08, 0.06, 0.04))
     workspace = Config().workspace.box()
     table, box, label = world_markers(SimpleNamespace(top_view=top_view, objects=[duck]), workspace).markers
-    assert {marker.header.frame_id for marker in (table, box, label)} == {names.BASE_FRAME}
+    assert {marker.header.frame_id for marker in (table, box, label)} == {names.FRAMES.base}
     assert len(table.points) == len(table.colors) == 6 * 100**2
     for corners, colour in zip(np.reshape([point.y for point in table.points], (-1, 6)), table.colors[::6]):
         assert (colour.r, colour.b) == ((1, 0) if corners.mean() > 0 else (0, 1))

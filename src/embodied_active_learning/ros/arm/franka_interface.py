@@ -59,7 +59,7 @@ class FrankaInterface:
     def send(self, set_point: CameraPose) -> None:
         """Publish a camera pose as the set-point of the impedance controller."""
         position, rotation = self._mount.end_effector(set_point)
-        header = Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME)
+        header = Header(stamp=rospy.Time.now(), frame_id=names.FRAMES.base)
         pose = Pose(Point(*position.tolist()), Quaternion(*quaternion(rotation)))
         self._set_points.publish(PoseStamped(header, pose))
 

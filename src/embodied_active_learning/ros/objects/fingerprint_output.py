@@ -35,7 +35,7 @@ class FingerprintOutput:
     def publish(self, found: FingerprintSet) -> List[FingerprintMessage]:
         """Publish a set in place of the previous one. Return the messages of its fingerprints."""
         stamp = rospy.Time.now()
-        header = Header(stamp=stamp, frame_id=names.BASE_FRAME)
+        header = Header(stamp=stamp, frame_id=names.FRAMES.base)
         messages = [fingerprint_message(stamp, found, item) for item in found.fingerprints]
         thumbnails = [image_message(stamp, item.thumbnail) for item in found.fingerprints]
         self._array.publish(FingerprintArray(header, messages, thumbnails))

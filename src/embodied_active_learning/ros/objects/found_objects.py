@@ -33,7 +33,7 @@ class FoundObjects:
     def publish(self, decisions: Sequence[Decision], unknown: Sequence[UnknownObject]) -> None:
         """Publish all found objects, without blanks, and all unknown ones."""
         found = found_objects(decisions)
-        header = Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME)
+        header = Header(stamp=rospy.Time.now(), frame_id=names.FRAMES.base)
         self._poses.publish(PoseArray(header, [pose_message(decision.pose) for decision in found]))
         self._unknown.publish(PoseArray(header, [pose_message([*item.place, 0.0]) for item in unknown]))
         self._frames.publish(TFMessage([frame_message(header, decision) for decision in found]))

@@ -59,7 +59,7 @@ class IdentificationOutput:
         self, targets: Sequence[SearchTarget], images: int, decisions: Sequence[Decision], finished: bool
     ) -> None:
         """Publish all beliefs in one message."""
-        header = Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME)
+        header = Header(stamp=rospy.Time.now(), frame_id=names.FRAMES.base)
         beliefs = [belief_message(target, decisions) for target in targets]
         self._beliefs.publish(BeliefArray(header, images, finished, beliefs))
 

@@ -23,7 +23,7 @@ def fingerprint_message(stamp: rospy.Time, found: FingerprintSet, item: Fingerpr
     """Return one fingerprint of a set as a message."""
     x, y, theta = map(float, item.centre)
     return FingerprintMessage(
-        header=Header(stamp=stamp, frame_id=names.BASE_FRAME),
+        header=Header(stamp=stamp, frame_id=names.FRAMES.base),
         session=found.session,
         name=item.name,
         kind=item.kind,

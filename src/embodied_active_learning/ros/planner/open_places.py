@@ -23,7 +23,7 @@ class OpenPlacesPublisher:
         """Publish places (P, 2) [m] unless they are those published last."""
         if not np.array_equal(places, self._published):
             poses = [pose_message([*place, 0.0]) for place in places]
-            self._publisher.publish(PoseArray(Header(stamp=rospy.Time.now(), frame_id=names.BASE_FRAME), poses))
+            self._publisher.publish(PoseArray(Header(stamp=rospy.Time.now(), frame_id=names.FRAMES.base), poses))
             self._published = places
 
 

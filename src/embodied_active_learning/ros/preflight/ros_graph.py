@@ -121,10 +121,10 @@ class TfMonitor:
         return self._pose(rospy.Time()), None
 
     def _has_pose(self, stamp: rospy.Time) -> bool:
-        return self._buffer.can_transform(names.BASE_FRAME, names.CAMERA_FRAME, stamp)
+        return self._buffer.can_transform(names.FRAMES.base, names.CAMERA_FRAME, stamp)
 
     def _pose(self, stamp: rospy.Time) -> np.ndarray:
-        transform = self._buffer.lookup_transform(names.BASE_FRAME, names.CAMERA_FRAME, stamp).transform
+        transform = self._buffer.lookup_transform(names.FRAMES.base, names.CAMERA_FRAME, stamp).transform
         return pose_matrix(transform.translation, transform.rotation)
 
 

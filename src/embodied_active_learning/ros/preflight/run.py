@@ -95,7 +95,7 @@ def run(arguments: List[str], robot_profile: str, seconds: float, write: Callabl
         report.add(error("configuration", str(invalid), "no node starts with it", _READ_MESSAGE))
     if config is not None:
         if config.arm.robot in REAL_ROBOTS:
-            names.use_robot(config.franka.arm_id, config.franka.table_height)
+            names.FRAMES.use_robot(config.franka.arm_id, config.franka.table_height)
         check_computer(report, config)
         if not problem:
             check_system(report, config, seconds)

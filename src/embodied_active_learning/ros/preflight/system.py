@@ -201,9 +201,9 @@ class System:
             return [
                 error(
                     "frames",
-                    f"no transform from {names.BASE_FRAME} to {names.CAMERA_FRAME}: {problem}",
+                    f"no transform from {names.FRAMES.base} to {names.CAMERA_FRAME}: {problem}",
                     "rviz, rosbag and calibration tools need tf",
-                    f"start robot_state_publisher; franka_state_controller publishes {names.END_EFFECTOR_FRAME}, and "
+                    f"start robot_state_publisher; franka_state_controller publishes {names.FRAMES.end_effector}, and "
                     "camera_pipeline the camera mount",
                 )
             ]

@@ -76,7 +76,7 @@ def _run(
             wait_for_clock()
         config = read_config()
         if config.arm.robot != SIMULATED:
-            names.use_robot(config.franka.arm_id, config.franka.table_height)
+            names.FRAMES.use_robot(config.franka.arm_id, config.franka.table_height)
         body(config)
         if always_required and not is_shutting_down():
             rospy.loginfo("finished; roslaunch now reports this node in red as a required process that has died")

@@ -43,9 +43,9 @@ def marker(
     stamp: rospy.Time, namespace: str, number: int, kind: int, position: Point, size: Vector3, colour: ColorRGBA
 ) -> Marker:
     """Return a marker without rotation, at a position relative to the base in x and y and to the table in z [m]."""
-    above_base = Point(position.x, position.y, position.z + names.TABLE_HEIGHT)
+    above_base = Point(position.x, position.y, position.z + names.FRAMES.table_height)
     return Marker(
-        header=Header(stamp=stamp, frame_id=names.BASE_FRAME),
+        header=Header(stamp=stamp, frame_id=names.FRAMES.base),
         ns=namespace,
         id=number,
         type=kind,
