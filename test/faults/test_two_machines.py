@@ -118,7 +118,7 @@ def test_restarted_arm_rejects_commands_on_config_mismatch(tmp_path):
             run.wait_for(lambda: run.stored >= 10, "the run did not start")
         with run.arm(robot_profile=other):
             run.wait_for(
-                lambda: "refusing commands: configuration mismatch: workspace/x" in run.robot.log,
+                lambda: "rejecting commands: configuration mismatch: workspace/x" in run.robot.log,
                 "commands were accepted",
             )
             before = run.stored

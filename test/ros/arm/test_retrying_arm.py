@@ -362,7 +362,7 @@ def test_stop_without_control_sends_nothing(arm, retrying):
     command.join(10.0)
 
 
-def test_stop_after_unanswered_command(arm, camera):
+def test_stop_after_command_without_response(arm, camera):
     retrying = retrying_arm.RetryingArm(Config(), timeout=0.0)
     arm.failures = [NoResponseError("the connection broke")]
     with pytest.raises(CommandError, match="broke"):

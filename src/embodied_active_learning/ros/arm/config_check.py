@@ -69,4 +69,4 @@ class ConfigCheck:
         except CommandError as error:
             self._mismatch = error
             if str(error) != before:
-                rospy.logerr("refusing commands: %s", error)
+                rospy.logerr("rejecting commands: %s", error)

@@ -70,7 +70,7 @@ class RetryingArm:
         self._waiting_for = ""
         self._reached: Optional[PlanarState] = None  # where the last command has ended
         self._restarts = 0
-        self._unanswered = False
+        self._response_missing = False
         self._released = False  # control was released since the last command
         self._was_held = False
         self._error = ""
@@ -231,7 +231,7 @@ class RetryingArm:
                     reached = self._send(command)
             except CommandError as error:
                 if self._is_restorable and isinstance(error, NoResponseError):
-                    self._unanswered = True
+                    self._response_missing = True
                     self._wait_for_retry(error)
                 elif fallback is None and type(error) is CommandError:
                     raise
@@ -251,7 +251,7 @@ class RetryingArm:
     @property
     def _has_restarted(self) -> bool:
         """Whether the simulated arm has restarted since the last command, or may have."""
-        return self._is_restorable and (self._unanswered or self._camera.restarts != self._restarts)
+        return self._is_restorable and (self._response_missing or self._camera.restarts != self._restarts)
 
     @property
     def _has_moved(self) -> bool:
@@ -285,7 +285,7 @@ class RetryingArm:
         except (ArmBusyError, ArmStoppedError, NoResponseError):
             raise
         except CommandError:
-            self._reached, self._unanswered = None, False
+            self._reached, self._response_missing = None, False
             self._lease.end()
             raise
 
@@ -314,7 +314,7 @@ class RetryingArm:
                 f"restore failed: the arm's state at {state.header.stamp.to_sec():.3f} s is not the requested one"
             )
         rospy.loginfo("simulated arm restored to its state at %.3f s", state.header.stamp.to_sec())
-        self._unanswered = False
+        self._response_missing = False
         return reached
 
     def _release(self, outcome: Future) -> None:

@@ -169,7 +169,7 @@ class Recording:
             yield name, _deserialise(bag, message, _CLASSES[name])
 
     def _check_overlap(self, bag: BagFile, message: genpy.Message, following: Union[rospy.Time, None]) -> None:
-        """Refuse bags recorded at the same time: images and states would be read in the wrong order."""
+        """Reject bags recorded at the same time: images and states would be read in the wrong order."""
         if following is None or self.has_observations or message.header.stamp <= following + _OVERLAP_TOLERANCE:
             return
         raise BagError(

@@ -70,7 +70,7 @@ class PauseServer:
         rospy.Service(names.PLANNER_RESUME, Trigger, self.resume)
 
     def set_complete(self) -> None:
-        """Refuse pauses from now on: exploration is complete."""
+        """Reject pauses from now on: exploration is complete."""
         self._complete.set()
 
     def pause(self, request: Any) -> TriggerResponse:

@@ -49,7 +49,7 @@ class TrainerClient:
         """Store an observation; on return it is on the trainer's disk.
 
         Raises:
-            ServiceError: The trainer refused the observation.
+            ServiceError: The trainer rejected the observation.
         """
         response = self._observe.call(ObserveRequest(observation))
         if not response.success:
@@ -61,7 +61,7 @@ class TrainerClient:
         Waits for the model that is awaited after this many observations.
 
         Raises:
-            ServiceError: The trainer refused the states.
+            ServiceError: The trainer rejected the states.
         """
         request, made = EvaluateEntropyRequest(states=np.asarray(states).ravel().tolist()), 0
 
@@ -80,7 +80,7 @@ class TrainerClient:
 
 
 def save_model() -> None:
-    """Let a running trainer, if there is one, store its current model.
+    """Make a running trainer, if there is one, store its current model.
 
     Raises:
         ServiceError: The trainer does not respond.

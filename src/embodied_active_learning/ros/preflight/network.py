@@ -8,7 +8,7 @@ from embodied_active_learning.ros.preflight.check_result import CheckResult, err
 
 
 class Peer(NamedTuple):
-    """Another node: its advertised host, and why it does not answer (empty if it does)."""
+    """Another node: its advertised host, and why it does not respond (empty if it does)."""
 
     name: str
     host: str
@@ -60,7 +60,7 @@ def check_own_address(
 
 
 def check_peers(peers: Sequence[Peer]) -> CheckResult:
-    """Check that every node of the graph answers."""
+    """Check that every node of the graph responds."""
     silent = [f"{peer.name} at {peer.host} ({peer.connection_error})" for peer in peers if peer.connection_error]
     if silent:
         return error(
@@ -72,4 +72,4 @@ def check_peers(peers: Sequence[Peer]) -> CheckResult:
     remote = [peer for peer in peers if not peer.local]
     hosts = ", ".join(sorted({peer.host for peer in remote}))
     where = f", {len(remote)} of them on {hosts}" if remote else ", all on this computer"
-    return ok("other nodes", f"{len(peers)} answer{where}")
+    return ok("other nodes", f"{len(peers)} respond{where}")

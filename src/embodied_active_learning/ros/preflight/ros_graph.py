@@ -129,7 +129,7 @@ class TfMonitor:
 
 
 def collect(monitors: Sequence[Union[TopicMonitor, TfMonitor]], seconds: float, stop_early: bool) -> None:
-    """Let the monitors receive messages for some seconds of wall time; stop_early: until all are complete."""
+    """Wait some seconds of wall time while the monitors receive messages; stop_early: until all are complete."""
     ends_at = time.monotonic() + seconds
     while time.monotonic() < ends_at and not rospy.is_shutdown():
         if stop_early and all(monitor.is_complete for monitor in monitors):

@@ -8,7 +8,7 @@ import time
 from typing import Callable
 
 LOG_PERIOD = 5.0
-"""Wall seconds after which a lasting condition is logged again."""
+"""Wall seconds after which an unchanged message is logged again."""
 
 
 class LogThrottle:

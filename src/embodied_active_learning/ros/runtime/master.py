@@ -15,7 +15,7 @@ import rosgraph
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
 
 _TIMEOUT = 3.0
-"""Wall seconds within which a master or node answers."""
+"""Wall seconds within which a master or node responds."""
 
 
 CALL_ERRORS = (OSError, http.client.HTTPException, XmlRpcError, ExpatError)
@@ -28,7 +28,7 @@ def server_proxy(uri: str) -> Any:
 
 
 def connection_error(uri: str) -> str:
-    """Return why the XML-RPC server of a master or node does not answer; empty if it does."""
+    """Return why the XML-RPC server of a master or node does not respond; empty if it does."""
     try:
         server_proxy(uri).getPid("/ping")
     except CALL_ERRORS as error:
@@ -37,7 +37,7 @@ def connection_error(uri: str) -> str:
 
 
 def wait_for_master() -> None:
-    """Return once the ROS master answers.
+    """Return once the ROS master responds.
 
     To be called before init_node, which waits for the master too, but while it holds locks that block its shutdown.
     """

@@ -20,7 +20,7 @@ def load(name: str) -> str:
 def store(name: str, text: Callable[[], str]) -> None:
     """Store text() whenever it changes, until the node shuts down.
 
-    A separate thread writes it, so that a master that does not answer never delays a stop of the arm.
+    A separate thread writes it, so that a master that does not respond never delays a stop of the arm.
     """
     stored = load(name)
 

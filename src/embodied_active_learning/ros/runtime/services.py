@@ -21,8 +21,8 @@ TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportExcepti
 """Exceptions of a call whose server is gone; rospy does not wrap those of the socket."""
 HANDLER_FAILED = "responded with an error"
 """rospy's message for an exception in the server's handler."""
-_REFUSAL_PERIOD = 60.0  # s of wall time: a client that retries may get the same response twice a second for hours
-_MASTER_PERIOD = 0.5  # s of wall time between two calls of a master that does not answer
+_REJECTION_PERIOD = 60.0  # s of wall time: a client that retries may get the same response twice a second for hours
+_MASTER_PERIOD = 0.5  # s of wall time between two calls of a master that does not respond
 
 
 class RetryingService:
@@ -83,18 +83,18 @@ def interrupt_call(proxy: Any) -> None:
 
 
 def is_advertised(name: str) -> bool:
-    """Return whether the master knows a server of the service; wait for a master that does not answer.
+    """Return whether the master knows a server of the service; wait for a master that does not respond.
 
     Raises ShutdownRequestedError.
     """
     codes: List[int] = []
 
-    def ask_master() -> bool:
+    def look_up() -> bool:
         with suppress(OSError):
             codes.append(rospy.get_master().lookupService(rospy.resolve_name(name))[0])
         return bool(codes)
 
-    wait_until(ask_master, lambda: "the ROS master", period=_MASTER_PERIOD)
+    wait_until(look_up, lambda: "the ROS master", period=_MASTER_PERIOD)
     return codes[0] == 1
 
 
@@ -129,7 +129,7 @@ def advertise_service(
 
     error_fields(error) returns further fields of such a response.
     """
-    throttle = LogThrottle(_REFUSAL_PERIOD)
+    throttle = LogThrottle(_REJECTION_PERIOD)
 
     def respond(request: Any) -> Any:
         try:
