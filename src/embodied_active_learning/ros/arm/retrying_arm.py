@@ -25,6 +25,7 @@ from embodied_active_learning.exploration.commands import Command, PoseCommand, 
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros.arm.client import ArmClient
 from embodied_active_learning.ros.arm.lease import Lease
+from embodied_active_learning.ros.arm.restore_point import RestorePoint
 from embodied_active_learning.ros.arm.retry import RetryPolicy
 from embodied_active_learning.ros.camera.posed_camera import PosedCamera
 from embodied_active_learning.ros.conversions import state_arrays
@@ -62,16 +63,13 @@ class RetryingArm:
         """
         self._camera = PosedCamera(config)
         self._arm = ArmClient()
+        self._restore_point = RestorePoint(self._arm, self._camera)
         self._lease = Lease(config.arm.commander_timeout, self._arm.heartbeat)
         self._retry = RetryPolicy(config.arm.retries, timeout)
         self._arm_lock = threading.Lock()  # held during a call of the arm's services
         self._running = threading.Event()
         self._running.set()
         self._waiting_for = ""
-        self._reached: Optional[PlanarState] = None  # where the last command has ended
-        self._restarts = 0
-        self._response_missing = False
-        self._released = False  # control was released since the last command
         self._was_held = False
         self._error = ""
         self._throttle = LogThrottle()
@@ -100,7 +98,7 @@ class RetryingArm:
         """Whether the arm is where this node's last command has left it, as far as this node knows."""
         if not self._is_restorable:
             return self._lease.is_held
-        return self._has_restarted or not (self._released and self._has_moved)
+        return not self._restore_point.is_moved_by_others
 
     @property
     def is_paused(self) -> bool:
@@ -133,9 +131,9 @@ class RetryingArm:
                     )
                 break
             except ObservationError as error:
-                if self._is_restorable and (self._must_restore or not restored):
+                if self._is_restorable and (self._restore_point.must_restore or not restored):
                     # The simulation publishes the image again; this does not count as holding the arm still.
-                    reached = self._execute(_Restore(self._reached), self._hold)
+                    reached = self._execute(_Restore(self._restore_point.state), self._hold)
                     restored = True
                     continue
                 self._wait_for_retry(error)
@@ -231,7 +229,7 @@ class RetryingArm:
                     reached = self._send(command)
             except CommandError as error:
                 if self._is_restorable and isinstance(error, NoResponseError):
-                    self._response_missing = True
+                    self._restore_point.set_response_missing(True)
                     self._wait_for_retry(error)
                 elif fallback is None and type(error) is CommandError:
                     raise
@@ -246,46 +244,27 @@ class RetryingArm:
     @property
     def _is_restorable(self) -> bool:
         """Whether the arm is simulated and can return to where the last command has left it."""
-        return self._arm.can_restore and self._reached is not None
-
-    @property
-    def _has_restarted(self) -> bool:
-        """Whether the simulated arm has restarted since the last command, or may have."""
-        return self._is_restorable and (self._response_missing or self._camera.restarts != self._restarts)
-
-    @property
-    def _has_moved(self) -> bool:
-        """Whether the simulated arm has moved since the last command: only then does simulated time pass."""
-        newest = self._camera.newest_state
-        return self._reached is not None and newest is not None and newest > self._reached.header.stamp
-
-    @property
-    def _must_restore(self) -> bool:
-        """Whether the simulated arm is not where it was left, although this node has not released control.
-
-        It has restarted, or it has stopped because this process was frozen beyond the arm's timeout.
-        """
-        return self._has_restarted or (self._is_restorable and self._has_moved and not self._released)
+        return self._restore_point.state is not None
 
     def _send(self, command: _AnyCommand) -> PlanarState:
         """Carry out a command; a simulated arm that is not where it was left is restored first."""
-        if self._must_restore:
+        if self._restore_point.must_restore:
             self._restore_last_state()
         reached = self._call(command)
-        before = self._reached if self._is_restorable and not isinstance(command, _Restore) else None
+        before = None if isinstance(command, _Restore) else self._restore_point.state
         if before is not None and reached.header.stamp <= before.header.stamp:
             raise NoResponseError("the simulated arm has restarted: its time went back")
-        self._reached = reached
+        self._restore_point.set_reached(reached)
         return reached
 
     def _restore_last_state(self) -> None:
         """Restore the state of the last command. Raises CommandError; if it is lost, the arm is used where it is."""
         try:
-            self._call(_Restore(self._reached))
+            self._call(_Restore(self._restore_point.state))
         except (ArmBusyError, ArmStoppedError, NoResponseError):
             raise
         except CommandError:
-            self._reached, self._response_missing = None, False
+            self._restore_point.lose()
             self._lease.end()
             raise
 
@@ -304,7 +283,7 @@ class RetryingArm:
             self._lease.renew()  # the arm has accepted us as its commander, or may have
             raise
         self._lease.renew()
-        self._restarts, self._released = restarts, False
+        self._restore_point.set_called(restarts)
         return reached
 
     def _restore(self, state: PlanarState) -> PlanarState:
@@ -314,7 +293,7 @@ class RetryingArm:
                 f"restore failed: the arm's state at {state.header.stamp.to_sec():.3f} s is not the requested one"
             )
         rospy.loginfo("simulated arm restored to its state at %.3f s", state.header.stamp.to_sec())
-        self._response_missing = False
+        self._restore_point.set_response_missing(False)
         return reached
 
     def _release(self, outcome: Future) -> None:
@@ -323,7 +302,7 @@ class RetryingArm:
                 if self.in_control:
                     self._arm.stop_if_commander()
                 self._lease.end()
-                self._released = True
+                self._restore_point.release()
             outcome.set_result(None)
         except CommandError as error:
             outcome.set_exception(error)
