@@ -130,7 +130,7 @@ def camera_pose(transform: np.ndarray, config: Config) -> CameraPose:
     """
     table_height = config.franka.table_height if config.arm.robot in REAL_ROBOTS else 0.0
     unmounted = CameraMount((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), config.camera.distance + table_height)
-    return unmounted.camera_pose(transform.T.ravel())
+    return unmounted.camera_pose(transform.T.ravel().tolist())
 
 
 def check_camera_pose(pose: CameraPose, config: Config) -> CheckResult:
