@@ -92,7 +92,7 @@ def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, most:
         scene,
         explorer,
         search.images,
-        int(search.decided),
+        int(search.all_closed),
         len(there),
         sum(row.hit for row in there),
         sum(row.undecided for row in there),
@@ -113,7 +113,7 @@ def explore(
     due = FIRST_EVALUATION
     with Simulation(world, config) as simulation:
         motion = ExplorationRun(config)
-        while not search.decided and len(states) < most:
+        while not search.all_closed and len(states) < most:
             states.append(simulation.pose)
             images.append(simulation.image())
             motion.observe(simulation.pose, simulation.velocity)

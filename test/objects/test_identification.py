@@ -457,14 +457,14 @@ def test_found_object_is_decided_before_the_workspace_is_seen():
     assert red.found
     assert blue.outcome == UNDECIDED
     assert "of the workspace seen: take more images" in blue.reason
-    assert not search.decided
+    assert not search.all_closed
 
 
 def test_decision_is_kept_and_rest_is_decided_by_more_images():
     search = make_identification()
     first = search.decide(*views_of(HERE, count=5))[0]
     later = search.decide(*stream())
-    assert search.decided
+    assert search.all_closed
     assert search.open_places.shape == (0, 2)
     np.testing.assert_array_equal(first.pose, later[0].pose)
     assert_found(of(later, "object-2"), [THERE])
@@ -476,7 +476,7 @@ def test_place_with_too_few_views_is_open():
     search = make_identification()
     red = search.decide(states[far], images[far])[0]
     assert (red.outcome, red.reason) == (UNDECIDED, "a candidate place has too few views: take more images")
-    assert not search.decided
+    assert not search.all_closed
     assert np.hypot(*(search.open_places - HERE[:2]).T).min() < 0.02
 
 
@@ -492,4 +492,4 @@ def test_belief_decision_never_stops_early():
     search = make_identification(settings=replace(SETTINGS, decision="belief"))
     search.observe(*stream())
     search.decide(*stream())
-    assert not search.decided
+    assert not search.all_closed

@@ -7,10 +7,10 @@ from embodied_active_learning.pipeline.identification import FIRST_EVALUATION, n
 
 
 @given(st.integers(FIRST_EVALUATION, 5000), st.integers(0, 200))
-def test_next_evaluation_comes_later_the_more_is_undecided(images, undecided):
-    assert next_evaluation(images, undecided) > images
-    assert next_evaluation(images, undecided) >= images + undecided
-    assert next_evaluation(images, undecided + 1) >= next_evaluation(images, undecided)
+def test_next_evaluation_comes_later_with_more_open(images, open_count):
+    assert next_evaluation(images, open_count) > images
+    assert next_evaluation(images, open_count) >= images + open_count
+    assert next_evaluation(images, open_count + 1) >= next_evaluation(images, open_count)
 
 
 def test_evaluations_become_rarer():

@@ -77,7 +77,7 @@ class Identification:
 
     @property
     def open_count(self) -> int:
-        """Number of fingerprints that more images may decide, as of the last call of `decide`."""
+        """Number of fingerprints whose decision more images may change, as of the last call of `decide`."""
         return len(self.targets) - len(self._closed)
 
     @property
@@ -95,8 +95,8 @@ class Identification:
         """Start a stream."""
         self._weights = EvidenceWeights(self._settings)
         self.images = 0
-        self.decided = False
-        """Whether no more images are needed, as of the last call of `decide`."""
+        self.all_closed = False
+        """Whether more images change no decision, whatever the outcomes, as of the last call of `decide`."""
         self.open_places: np.ndarray = np.empty((0, 2))
         """(P, 2) places [m] that need more views, as of the last call of `decide`."""
         self._closed: Dict[str, List[Decision]] = {}
@@ -120,21 +120,21 @@ class Identification:
     def decide(self, states: np.ndarray, images: np.ndarray) -> List[Decision]:
         """Decide for every fingerprint, given the states (N, 3) [m, m, rad] and images of the stream so far.
 
-        May be called after any number of images: what was decided in an earlier call without being open is kept.
+        May be called after any number of images: the decision of a closed fingerprint is kept.
         """
         views = SceneViews(states, images, self._camera)
         mosaic = Mosaic(views, self._workspace, self._settings.margin)
         self._scene = views, mosaic
         decisions: List[Decision] = []
         places: List[np.ndarray] = []
-        self.decided = True
+        self.all_closed = True
         for _, targets in self._groups:
             groups = [
                 self._closed.get(target.label) or self._rule.candidates(target, views, mosaic) for target in targets
             ]
             for target, group, resolved in zip(targets, groups, self._rule.resolve(groups)):
                 if self._rule.is_open(target, resolved, mosaic):
-                    self.decided = False
+                    self.all_closed = False
                     self._closed.pop(target.label, None)
                     places += self._rule.open_places(target, resolved)
                 else:

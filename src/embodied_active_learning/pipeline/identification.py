@@ -40,16 +40,16 @@ def check_results(session_path: Path, name: str, overwrite: bool) -> None:
         raise SessionError(f"results exist in {folder}: choose another name, or set overwrite")
 
 
-def next_evaluation(images: int, undecided: int) -> int:
+def next_evaluation(images: int, open_count: int) -> int:
     """Return the number of images after which decisions are evaluated again.
 
-    Evaluation takes about 0.1 s for each undecided fingerprint, less than the arm needs for as many images.
+    Evaluation takes about 0.1 s for each open fingerprint, less than the arm needs for as many images.
 
     Args:
         images: Number of images at this evaluation.
-        undecided: Number of fingerprints that it has left undecided.
+        open_count: Number of fingerprints whose decision more images may change.
     """
-    return max(images + max(undecided, 1), int(_EVALUATION_GROWTH * images))
+    return max(images + max(open_count, 1), int(_EVALUATION_GROWTH * images))
 
 
 class IdentificationRun:
@@ -118,8 +118,8 @@ class IdentificationRun:
 
     @property
     def complete(self) -> bool:
-        """Whether everything is decided, or all images are processed."""
-        return self.identification.decided or self.processed >= self.images
+        """Whether more images change no decision, or all images are processed."""
+        return self.identification.all_closed or self.processed >= self.images
 
     @property
     def states(self) -> np.ndarray:
