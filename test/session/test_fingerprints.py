@@ -113,7 +113,7 @@ def test_invalid_calibration_is_rejected(session):
     write_tensors(
         path, "calibration", {"true": torch.ones(2, dtype=torch.float64)}, {"rules": fingerprints.CALIBRATION_VERSION}
     )
-    with pytest.raises(CorruptFileError, match="expected the tensors true and false"):
+    with pytest.raises(CorruptFileError, match="expected the arrays true and false"):
         load_fingerprints(session)
 
 
@@ -573,7 +573,7 @@ def test_invalid_set_with_valid_checksum_is_rejected(session, field, value, mess
         ({"states": torch.zeros(2, 3, dtype=torch.float64)}, {}, r"object-1: images is uint8 \(3, "),
         ({"latent_means": torch.zeros(3, 2, dtype=torch.float16)}, {}, "latent_means is float16, expected one of"),
         ({"latent_stds": None}, {}, "latent_stds is missing"),
-        ({"more": torch.zeros(1)}, {}, "tensor 'more' is unknown"),
+        ({"more": torch.zeros(1)}, {}, "array 'more' is unknown"),
         ({}, {"name": "object-2"}, "name is 'object-2': expected 'object-1'"),
         ({}, {"kind": "thing"}, "object-1: invalid kind 'thing'"),
         ({}, {"importance": "1"}, "importance is '1'"),

@@ -47,7 +47,7 @@ def test_later_identification_replaces_the_first(session):
     assert [path.name for path in session.paths.identification.iterdir()] == ["first"]
 
 
-@pytest.mark.parametrize("write", ["write_tensors", "write_text"])
+@pytest.mark.parametrize("write", ["write_finite_arrays", "write_text"])
 def test_failed_write_keeps_previous_identification(session, monkeypatch, write):
     before = files_below(session.paths.identification)
     monkeypatch.setattr(identifications, write, fail)

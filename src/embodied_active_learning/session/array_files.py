@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any, Dict, Mapping, Tuple
+from typing import Any, Dict, Mapping, Tuple, Type
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.files import FileReader, open_regular_file
 from embodied_active_learning.session.atomic import write_bytes
 
@@ -61,6 +61,27 @@ def read_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arr
     text = header.get("facts", "")
     reader.expect(path, header, {"sha256": _digest(arrays, text)})
     return arrays, reader.parse_json(f"{path}: facts", text)
+
+
+def write_finite_arrays(path: Path, kind: str, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> None:
+    """Write arrays like write_arrays. Raises SessionError also for values that are not finite."""
+    _check_finite(arrays, SessionError, f"{path} was not written")
+    write_arrays(path, kind, arrays, facts)
+
+
+def read_finite_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arrays, Dict[str, Any]]:
+    """Read a file of write_finite_arrays like read_arrays. Raises reader.error also for values that are not finite."""
+    arrays, facts = read_arrays(path, kind, reader)
+    _check_finite(arrays, reader.error, str(path))
+    return arrays, facts
+
+
+def _check_finite(arrays: Mapping[str, np.ndarray], error: Type[EmbodiedActiveLearningError], subject: str) -> None:
+    for name, array in arrays.items():
+        with np.errstate(all="ignore"):
+            total = array.sum()  # ten times faster to check than the array; it may overflow for finite values
+        if not (np.isfinite(total) or np.isfinite(array).all()):
+            raise error(f"{subject}: tensor {name} has values that are not finite: use an earlier checkpoint")
 
 
 def _read(path: Path, reader: FileReader) -> Tuple[Arrays, Dict[str, str]]:

@@ -14,7 +14,6 @@ from typing import Collection, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
-import torch
 import yaml
 
 from embodied_active_learning.config import Config
@@ -24,7 +23,8 @@ from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.fingerprint import ARRAYS, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.limits import CALIBRATION_VERSION, Calibration
 from embodied_active_learning.schema import build, required, to_plain
-from embodied_active_learning.session import array_files
+from embodied_active_learning.session.array_files import READER as ARRAY_READER
+from embodied_active_learning.session.array_files import read_arrays, write_arrays
 from embodied_active_learning.session.atomic import (
     disk_failure_named,
     is_leftover,
@@ -39,7 +39,6 @@ from embodied_active_learning.session.description import changed_keys, read_desc
 from embodied_active_learning.session.fingerprinted import generations, newest_generation
 from embodied_active_learning.session.lock import claim
 from embodied_active_learning.session.paths import LOCK_FILE, SessionPaths, stays_inside
-from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/fingerprints"
 VERSION = 1
@@ -52,7 +51,7 @@ CALIBRATION_FILE = "calibration.safetensors"
 _KIND, _CALIBRATION_KIND = "fingerprint", "calibration"
 _SIMILARITIES = ("true", "false")
 _READER = FileReader(CorruptFileError, "restore it, or call /fingerprint again")
-_MODEL_READER = replace(_READER, limit=array_files.READER.limit)
+_MODEL_READER = replace(_READER, limit=ARRAY_READER.limit)
 _FINGERPRINT_READER = replace(_READER, limit=2**30)
 
 
@@ -169,16 +168,13 @@ def _write_set(folder: Path, found: FingerprintSet) -> None:
 
 
 def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
-    # torch accepts neither read-only arrays nor negative strides.
-    tensors = {
-        field: torch.from_numpy(np.require(getattr(fingerprint, field), requirements=["C", "W"])) for field in ARRAYS
-    }
+    arrays = {field: getattr(fingerprint, field) for field in ARRAYS}
     facts = {"name": fingerprint.name, "kind": fingerprint.kind, "importance": float(fingerprint.importance)}
-    write_tensors(folder / FINGERPRINT_FILE, _KIND, tensors, facts)
+    write_arrays(folder / FINGERPRINT_FILE, _KIND, arrays, facts)
     _refuse_large(folder / FINGERPRINT_FILE, _FINGERPRINT_READER, "keep fewer views")
     if fingerprint.calibration is not None:
-        similarities = {name: torch.from_numpy(getattr(fingerprint.calibration, name)) for name in _SIMILARITIES}
-        write_tensors(folder / CALIBRATION_FILE, _CALIBRATION_KIND, similarities, {"rules": CALIBRATION_VERSION})
+        similarities = {name: getattr(fingerprint.calibration, name) for name in _SIMILARITIES}
+        write_arrays(folder / CALIBRATION_FILE, _CALIBRATION_KIND, similarities, {"rules": CALIBRATION_VERSION})
     _, png = cv2.imencode(".png", np.ascontiguousarray(fingerprint.thumbnail[..., ::-1]))
     write_bytes(folder / THUMBNAIL_FILE, png.tobytes())
 
@@ -218,11 +214,10 @@ def _read_set_file(session_path: Path, path: Path) -> _SetFacts:
 def _read_fingerprint(session_path: Path, path: Path) -> Fingerprint:
     _check_inside(session_path, path)
     with _damage_in(path):
-        tensors, stored = read_tensors(path, _KIND, _FINGERPRINT_READER)
+        arrays, stored = read_arrays(path, _KIND, _FINGERPRINT_READER)
         facts = build(_FingerprintFacts, stored, path, CorruptFileError, _READER.remedy)
         _READER.expect(path, stored, {"name": path.parent.name})
-        _check_names(path, tensors)
-        arrays = {field: tensor.numpy() for field, tensor in tensors.items()}
+        _check_names(path, arrays)
         calibration = _read_calibration(session_path, path.parent / CALIBRATION_FILE)
         return Fingerprint(**to_plain(facts), **arrays, calibration=calibration)
 
@@ -233,22 +228,22 @@ def _read_calibration(session_path: Path, path: Path) -> Optional[Calibration]:
         return None
     _check_inside(session_path, path)
     with _damage_in(path):
-        tensors, facts = read_tensors(path, _CALIBRATION_KIND, _READER)
+        similarities, facts = read_arrays(path, _CALIBRATION_KIND, _READER)
         if build(_CalibrationFacts, facts, path, CorruptFileError, _READER.remedy).rules != CALIBRATION_VERSION:
             return None
-        if sorted(tensors) != sorted(_SIMILARITIES):
-            raise _READER.make_error(f"{path}:", f"expected the tensors {' and '.join(_SIMILARITIES)}")
-        return Calibration(**{name: tensor.numpy() for name, tensor in tensors.items()})
+        if sorted(similarities) != sorted(_SIMILARITIES):
+            raise _READER.make_error(f"{path}:", f"expected the arrays {' and '.join(_SIMILARITIES)}")
+        return Calibration(**similarities)
 
 
-def _check_names(path: Path, tensors: Collection[str]) -> None:
-    """Check that the tensors are exactly the arrays of a fingerprint."""
+def _check_names(path: Path, names: Collection[str]) -> None:
+    """Check that the names are exactly the arrays of a fingerprint."""
     for name in ARRAYS:
-        if name not in tensors:
+        if name not in names:
             raise _READER.make_error(f"{path}:", f"{name} is missing")
-    for name in tensors:
+    for name in names:
         if name not in ARRAYS:
-            raise _READER.make_error(f"{path}:", f"tensor {short_repr(name)} is unknown")
+            raise _READER.make_error(f"{path}:", f"array {short_repr(name)} is unknown")
 
 
 def _check_inside(session_path: Path, path: Path) -> None:

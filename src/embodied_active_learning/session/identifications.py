@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, get_type_hints
 
 import numpy as np
-import torch
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import MAX_YAML_SIZE, FileReader
@@ -21,10 +20,10 @@ from embodied_active_learning.objects.decision import FOUND, NOT_HERE, OUTCOMES,
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.schema import build, required
+from embodied_active_learning.session.array_files import Arrays, read_finite_arrays, write_finite_arrays
 from embodied_active_learning.session.atomic import make_folder, remove_leftovers, replace_folder, write_text
 from embodied_active_learning.session.checksummed_yaml import checksummed_text, read_checksummed
 from embodied_active_learning.session.paths import SessionPaths, stays_inside
-from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/decisions"
 VERSION = 4
@@ -107,8 +106,8 @@ def save_identification(
     make_folder(folder.parent)
     remove_leftovers(folder.parent)
     with replace_folder(folder) as temporary:
-        write_tensors(temporary / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
-        write_tensors(temporary / TRACE_FILE, "trace", _trace(identification), facts)
+        write_finite_arrays(temporary / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
+        write_finite_arrays(temporary / TRACE_FILE, "trace", _trace(identification), facts)
         write_text(temporary / TABLE_FILE, _table(rows))
         write_text(temporary / UNKNOWN_FILE, _table([_plain_unknown(item) for item in unknown]))
         write_text(temporary / DECISIONS_FILE, text)
@@ -133,38 +132,33 @@ def load_identification(session_path: Path, name: str) -> StoredIdentification:
     return StoredIdentification(name, content.session, content.images, decisions)
 
 
-def load_trace(session_path: Path, name: str) -> Dict[str, torch.Tensor]:
+def load_trace(session_path: Path, name: str) -> Arrays:
     """Read the trace of every image: "<session>/<fingerprint>/view", distance, value (N,) and pose (N, 3)."""
-    tensors, _ = read_tensors(identification_folder(session_path, name) / TRACE_FILE, "trace")
-    return tensors
+    return read_finite_arrays(identification_folder(session_path, name) / TRACE_FILE, "trace")[0]
 
 
-def load_beliefs(session_path: Path, name: str) -> Dict[str, torch.Tensor]:
+def load_beliefs(session_path: Path, name: str) -> Arrays:
     """Read the belief grids: "<session>/<fingerprint>/mean" and std (nx, ny, nyaw); axes x, y [m] and yaw [rad]."""
-    tensors, _ = read_tensors(identification_folder(session_path, name) / BELIEFS_FILE, "beliefs")
-    return tensors
+    return read_finite_arrays(identification_folder(session_path, name) / BELIEFS_FILE, "beliefs")[0]
 
 
-def _beliefs(identification: Identification) -> Dict[str, torch.Tensor]:
-    tensors: Dict[str, torch.Tensor] = {}
+def _beliefs(identification: Identification) -> Arrays:
+    arrays: Arrays = {}
     for item in identification.targets:
         for axis in ("x", "y", "yaw"):
-            tensors[axis] = torch.from_numpy(getattr(item.grid, axis))
+            arrays[axis] = getattr(item.grid, axis)
         for part in ("mean", "std"):
-            tensors[f"{item.session}/{item.fingerprint.name}/{part}"] = torch.from_numpy(
-                getattr(item.grid, part)
-            ).float()
-    return tensors
+            name = f"{item.session}/{item.fingerprint.name}/{part}"
+            arrays[name] = np.asarray(getattr(item.grid, part), np.float32)
+    return arrays
 
 
-def _trace(identification: Identification) -> Dict[str, torch.Tensor]:
-    tensors = {}
-    for item in identification.targets:
-        trace = item.trace
-        for field in dataclasses.fields(trace):
-            values = torch.from_numpy(getattr(trace, field.name))
-            tensors[f"{item.session}/{item.fingerprint.name}/{field.name}"] = values
-    return tensors
+def _trace(identification: Identification) -> Arrays:
+    return {
+        f"{item.session}/{item.fingerprint.name}/{field.name}": getattr(item.trace, field.name)
+        for item in identification.targets
+        for field in dataclasses.fields(item.trace)
+    }
 
 
 def _plain(decision: Decision) -> Dict[str, Any]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Dict, Mapping, Tuple, Type
+from typing import Any, Dict, Mapping, Tuple
 
 import numpy as np
 import torch
 
-from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.session.array_files import READER, read_arrays, write_arrays
+from embodied_active_learning.session.array_files import READER, read_finite_arrays, write_finite_arrays
 
 Tensors = Dict[str, torch.Tensor]
 
@@ -21,23 +20,13 @@ def write_tensors(path: Path, kind: str, tensors: Tensors, facts: Mapping[str, A
     Raises:
         SessionError: The disk failed, or a tensor is not finite; the previous file is kept.
     """
-    _check_finite(tensors, SessionError, f"{path} was not written")
-    write_arrays(path, kind, {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}, facts)
+    write_finite_arrays(path, kind, {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}, facts)
 
 
 def read_tensors(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Tensors, Dict[str, Any]]:
     """Read a file of write_tensors, like read_arrays. Values that are not finite are refused as well."""
-    arrays, facts = read_arrays(path, kind, reader)
+    arrays, facts = read_finite_arrays(path, kind, reader)
     for name, array in arrays.items():
         if array.dtype == np.uint64:  # not supported by the torch of Noetic
             raise reader.make_error(f"{path}:", f"{name} is {array.dtype}, which is not a tensor type")
-    tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
-    _check_finite(tensors, reader.error, str(path))
-    return tensors, facts
-
-
-def _check_finite(tensors: Tensors, error: Type[EmbodiedActiveLearningError], subject: str) -> None:
-    for name, tensor in tensors.items():
-        # The sum is ten times faster to check; it may overflow for finite values.
-        if not (tensor.sum().isfinite() or tensor.isfinite().all()):
-            raise error(f"{subject}: tensor {name} has values that are not finite: use an earlier checkpoint")
+    return {name: torch.from_numpy(array) for name, array in arrays.items()}, facts
