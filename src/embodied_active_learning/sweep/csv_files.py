@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from pathlib import Path
-from typing import Dict, Iterable, List, Mapping
+from typing import Dict, Iterable, List, Mapping, Sequence
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.files import FileReader
@@ -16,11 +16,17 @@ _READER = FileReader(CorruptFileError, "make the results again", limit=2**24)
 _DIGITS = 6
 
 
-def write_rows(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
-    """Write rows with the same columns atomically; NaN and None become empty. The folder is created."""
+def write_rows(path: Path, rows: Iterable[Mapping[str, object]], columns: Sequence[str] = ()) -> None:
+    """Write rows with the same columns atomically; NaN and None become empty. The folder is created.
+
+    Args:
+        path: The file.
+        rows: Values by column.
+        columns: Names of the columns; by default those of the first row, so that a file without rows has no header.
+    """
     listed = [{name: _text(value) for name, value in row.items()} for row in rows]
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(listed[0]) if listed else [], lineterminator="\n")
+    writer = csv.DictWriter(stream, columns or (list(listed[0]) if listed else []), lineterminator="\n")
     writer.writeheader()
     writer.writerows(listed)
     make_folder(path.parent)

@@ -10,7 +10,7 @@ import os
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Optional, Tuple
+from typing import Any, Dict, Iterator, Optional, Tuple
 
 import numpy as np
 import torch
@@ -24,7 +24,6 @@ from embodied_active_learning.model.native.library import load_kernels
 from embodied_active_learning.objects.report import nearest
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.schema import build, to_plain
-from embodied_active_learning.session.atomic import make_folder, write_bytes
 from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
 from embodied_active_learning.session.conclusion import summarise
 from embodied_active_learning.session.session import Session
@@ -32,6 +31,7 @@ from embodied_active_learning.session.summary import Summary
 from embodied_active_learning.session.tables import COLUMNS, read_table
 from embodied_active_learning.simulation.truth import true_objects
 from embodied_active_learning.subsampling import spread_indices
+from embodied_active_learning.sweep.csv_files import write_rows
 
 FORMAT = "embodied_active_learning/record"
 RECORD_FILE = "record.yaml"
@@ -39,7 +39,6 @@ _READER = FileReader(CorruptFileError, "delete the folder, and make the run agai
 _ROWS = {"exploration": 300}
 _MAX_ROWS = 200
 """Rows of each other table that are kept, evenly spread."""
-_DIGITS = 6
 
 
 @dataclass(frozen=True)
@@ -133,9 +132,8 @@ def record_session(session: Session, variant: str = "", failure: str = "", wall_
 
 def write_record(folder: Path, record: Record) -> None:
     """Write a record with thinned-out tables; record.yaml comes last, so that its existence means completeness."""
-    make_folder(folder)
     for name, columns in record.tables.items():
-        write_bytes(folder / f"{name}.csv", _thin_csv(columns, _ROWS.get(name, _MAX_ROWS)))
+        write_rows(folder / f"{name}.csv", _thin_rows(columns, _ROWS.get(name, _MAX_ROWS)), list(columns))
     content = _RecordFile(
         format=FORMAT,
         version=CONFIG_VERSION,
@@ -212,14 +210,8 @@ def _cluster(session: Session) -> Tuple[float, Tuple[FoundObject, ...]]:
     return round(clustering.contrast, 3), tuple(objects)
 
 
-def _thin_csv(columns: Dict[str, np.ndarray], rows: int) -> bytes:
-    """Return a CSV table of evenly spread rows with few digits, the first and last row included."""
+def _thin_rows(columns: Dict[str, np.ndarray], rows: int) -> Iterator[Dict[str, float]]:
+    """Return evenly spread rows of a table, the first and last one included."""
     count = len(next(iter(columns.values())))
-    lines = [",".join(columns)]
     for index in spread_indices(count, rows):
-        lines.append(",".join(_text(float(values[index])) for values in columns.values()))
-    return ("\n".join(lines) + "\n").encode("utf-8")
-
-
-def _text(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.{_DIGITS}g}"
+        yield {name: float(values[index]) for name, values in columns.items()}
