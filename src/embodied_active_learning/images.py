@@ -104,12 +104,24 @@ def decode_compressed(data: bytes) -> np.ndarray:
         remedy = _REMEDY if data.startswith(tuple(_SIZE_OF)) else "set the compression of the camera driver"
         raise ObservationError(f"compressed image {error}: {remedy}") from None
     _check_size(height, width)
+    picture = decode_pixels(data, height, width)
+    if picture is None:
+        raise ObservationError(f"compressed image is damaged, its content cannot be decoded: {_REMEDY}")
+    return picture
+
+
+def decode_pixels(data: bytes, height: int, width: int) -> Optional[np.ndarray]:
+    """Decode a JPEG or PNG file of a size that was checked. EXIF rotation is ignored.
+
+    Returns:
+        (height, width, 3) uint8 RGB; None if the file is damaged or has another size.
+    """
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
-        picture = None
+        return None
     if picture is None or picture.shape != (height, width, 3):
-        raise ObservationError(f"compressed image is damaged, its content cannot be decoded: {_REMEDY}")
+        return None
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 

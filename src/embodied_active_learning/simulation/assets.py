@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Tuple
 
-import cv2
 import numpy as np
 
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.images import encoded_size
+from embodied_active_learning.images import MAX_PIXELS, decode_pixels, encoded_size
 
-MAX_PIXELS = 2**24
-"""Maximum number of pixels of a texture."""
 _LFS_POINTER = b"version https://git-lfs"
 
 
@@ -37,13 +34,10 @@ def read_asset(path: Path, expected: str, limit: int) -> bytes:
 def read_picture(path: Path) -> np.ndarray:
     """Return a PNG or JPEG file as (H, W, 3) uint8 RGB. Raises WorldError as check_picture(), or for damaged pixels."""
     content, shape = _read_header(path)
-    try:
-        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
-        picture = None
-    if picture is None or picture.shape != (*shape, 3):
+    picture = decode_pixels(content, *shape)
+    if picture is None:
         raise WorldError(f"texture {path} is damaged: its pixels cannot be decoded; convert it to PNG again")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return picture
 
 
 def check_picture(path: Path) -> None:
