@@ -18,6 +18,8 @@ from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint
 
 BLUR = 0.0012
 """Standard deviation of the blur before images are compared [m on the table]: suppresses noise and sampling."""
+GRADIENT_UNIT = 0.05
+"""Distance to which a gradient of the light refers [m]."""
 _WHITE = 765
 """Sum of the channels of a white pixel."""
 _DARK_LUMINANCE, _DARK_COLOUR = 0.02, 0.03

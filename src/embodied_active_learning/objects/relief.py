@@ -16,6 +16,7 @@ import numpy as np
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.geometry import pixels_of
 from embodied_active_learning.objects.colours import blurred
+from embodied_active_learning.objects.medians import masked_median
 from embodied_active_learning.subsampling import spread_indices
 
 _HEIGHTS = (0.0, 0.004, 0.008, 0.012, 0.016, 0.021, 0.028, 0.036, 0.046, 0.06)
@@ -114,7 +115,7 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
         seen = np.isfinite(rectified[..., 0])
         unseen = seen.sum(axis=0) < _MIN_SEEN
         rectified[:, unseen] = 0.0
-        median = _median(rectified)
+        median = masked_median(rectified, np.isfinite(rectified), 0, np.nan)
         change = np.minimum(np.abs(rectified - median).sum(axis=-1), _MAX_DIFFERENCE)
         change = np.where(seen, change, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
         change[unseen] = _MAX_DIFFERENCE if height else 0.0  # what is not seen at a height is not raised to it
@@ -128,14 +129,6 @@ def relief_at(place: np.ndarray, states: np.ndarray, images: np.ndarray, camera:
 
 def _points_around(place: np.ndarray) -> np.ndarray:
     return place + np.stack(np.meshgrid(_AXIS, _AXIS), axis=-1)
-
-
-def _median(values: np.ndarray) -> np.ndarray:
-    """Median over the first axis without NaN, like np.nanmedian but several times faster."""
-    ordered = np.sort(values, axis=0)  # NaN come last
-    count = np.isfinite(values).sum(axis=0, keepdims=True)
-    lower, upper = (np.take_along_axis(ordered, middle, axis=0) for middle in ((count - 1) // 2, count // 2))
-    return np.asarray(0.5 * (lower + upper)[0])
 
 
 def _rectified(

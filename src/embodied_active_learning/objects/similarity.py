@@ -14,7 +14,8 @@ import numpy as np
 
 from embodied_active_learning.geometry import to_base_frame, to_object_frame
 from embodied_active_learning.objects.appearance import Appearance
-from embodied_active_learning.objects.colours import balance_jacobian, colour_distance
+from embodied_active_learning.objects.colours import GRADIENT_UNIT, balance_jacobian, colour_distance
+from embodied_active_learning.objects.medians import masked_median
 
 Indices = Union[Sequence[int], np.ndarray]
 LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
@@ -26,7 +27,6 @@ _GAIN = (-1.0, 0.6)
 """Limits of the gain: log luminance of the view minus that of the stored view."""
 _GRADIENT = 0.3
 """Limit of its change per 5 cm."""
-_GRADIENT_UNIT = 0.05
 _GRADIENT_PRIOR = 12.0
 _BALANCE = 0.26
 """Limit of the white balance: largest difference between the log gains of two channels."""
@@ -81,13 +81,8 @@ def similarity(
         poses: (P, 3) poses of the object [m, m, rad].
         stride: Use every n-th point only.
     """
-    values = [_in_view(appearance, views, one, other, poses, stride) for one, other in zip(chosen, stored)]
-    table = np.sort(np.array(values), axis=0)  # unseen ones are -1: they go to the front
-    count, first = len(table), (table < -1.0 + 1e-6).sum(axis=0)
-    low, high = (first + count - 1) // 2, (first + count) // 2
-    index = np.arange(table.shape[1])
-    median = 0.5 * (table[np.minimum(low, count - 1), index] + table[np.minimum(high, count - 1), index])
-    return np.where(first == count, -1.0, median)
+    values = np.array([_in_view(appearance, views, one, other, poses, stride) for one, other in zip(chosen, stored)])
+    return masked_median(values, values >= -1.0 + 1e-6, 0, -1.0)
 
 
 def nearest_stored_views(
@@ -145,9 +140,9 @@ def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: T
     """Robust fit of the light to features (P, K, 3) seen at points, of which (P, K) are valid."""
     change = features - points.features
     luminance = change[..., 0]
-    x, y = (points.positions / _GRADIENT_UNIT).T
+    x, y = (points.positions / GRADIENT_UNIT).T
     seen: np.ndarray = valid.astype(np.float32)
-    gain = _masked_median(luminance, valid)
+    gain = masked_median(luminance, valid, 1, 0.0).astype(np.float32)
     gradient: np.ndarray = np.zeros((len(gain), 2), np.float32)
     weight = seen
     for _ in range(2):
@@ -165,15 +160,6 @@ def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: T
     return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), balance)
 
 
-def _masked_median(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Median (P,) of the valid values (P, K); 0 without any."""
-    ordered = np.sort(np.where(valid, values, np.inf), axis=1)
-    count, rows = valid.sum(axis=1), np.arange(len(values))
-    lower, upper = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
-    middle = 0.5 * (ordered[rows, lower] + ordered[rows, upper])
-    return np.where(count > 0, middle, 0.0).astype(np.float32)
-
-
 def _fit_balance(change: np.ndarray, weight: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     """White balance (P, 2): weighted least squares for changes (P, K, 2) of the shares with a Jacobian (K, 2, 2)."""
     prior = _BALANCE_PRIOR * weight.sum(axis=1) + 1e-6
@@ -188,7 +174,7 @@ def _fit_balance(change: np.ndarray, weight: np.ndarray, jacobian: np.ndarray) -
 
 def _match(features: np.ndarray, points: Points, light: Light, scale: Tuple[float, float]) -> np.ndarray:
     """Match (P, K), 0 to 1, of features (P, K, 3) seen at points: 1 if the light explains how they differ."""
-    x, y = (points.positions / _GRADIENT_UNIT).T
+    x, y = (points.positions / GRADIENT_UNIT).T
     change = features - points.features
     error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
     red, green = np.moveaxis(points.jacobian, -1, 0)

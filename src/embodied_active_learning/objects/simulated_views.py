@@ -16,12 +16,11 @@ import numpy as np
 
 from embodied_active_learning.geometry import to_object_frame
 from embodied_active_learning.objects.appearance import PIXEL, SIDE, Appearance, grid_cells, pixel_positions
-from embodied_active_learning.objects.colours import balanced, colour_distance, colour_features
+from embodied_active_learning.objects.colours import GRADIENT_UNIT, balanced, colour_distance, colour_features
 
 LOOK_ALIKES = ("stretched", "scaled", "bent", "mirrored", "recoloured", "plain")
 _GAIN, _GRADIENT, _BALANCE = (-0.9, 0.4), 0.25, 0.12
 """Ranges of the light: log luminance, its change per 5 cm, log gains of the channels."""
-_GRADIENT_UNIT = 0.05
 _NOISE = (0.01, 0.05)
 """Range of the standard deviation of the noise, in features after the blur."""
 _TABLE_LUMINANCE, _TABLE_COLOUR, _TABLE_CONTRAST, _TABLE_WAVES = (-2.0, -0.1), 0.9, 0.3, (60.0, 400.0)
@@ -112,7 +111,7 @@ class SimulatedViews:
 
 def _draw_brightness(random: np.random.Generator) -> np.ndarray:
     """A change (SIDE, SIDE) of the log luminance by other light."""
-    gradient = random.uniform(-_GRADIENT, _GRADIENT, 2) / _GRADIENT_UNIT
+    gradient = random.uniform(-_GRADIENT, _GRADIENT, 2) / GRADIENT_UNIT
     return np.asarray(random.uniform(*_GAIN) + _PIXELS @ gradient)
 
 
