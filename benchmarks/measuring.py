@@ -16,6 +16,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Callable, Dict, List, NamedTuple, Optional, Sequence
 
+from embodied_active_learning.model.native.library import processor_name
+
 WARM_UP = 2
 PEAK_SOURCE = Path(__file__).with_name("peak.c")
 PEAK_FLAGS = ("-O3", "-march=native", "-shared", "-fPIC")
@@ -118,12 +120,8 @@ def resident_memory() -> float:
 
 def machine() -> Dict[str, str]:
     """Return processor, Python and system."""
-    model = "unknown"
-    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-        if line.startswith("model name"):
-            model = line.partition(":")[2].strip()
-            break
-    return {"processor": model, "python": platform.python_version(), "system": platform.platform(terse=True)}
+    processor = processor_name() or "unknown"
+    return {"processor": processor, "python": platform.python_version(), "system": platform.platform(terse=True)}
 
 
 def table(section: Section) -> str:

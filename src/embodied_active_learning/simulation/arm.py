@@ -15,7 +15,8 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, CommandError, ConfigError
 from embodied_active_learning.motion_limits import MotionLimits
 from embodied_active_learning.simulation import servo
-from embodied_active_learning.simulation.panda_body import PandaBody, StateDict
+from embodied_active_learning.simulation.panda_body import PandaBody
+from embodied_active_learning.state_dict import StateDict
 from embodied_active_learning.workspace import STATE_NAMES
 
 # The arm turns back this far inside the workspace (normalised), so that small tracking errors of a physics step do

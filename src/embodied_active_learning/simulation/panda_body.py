@@ -10,11 +10,10 @@ import numpy as np
 import pybullet
 
 from embodied_active_learning.simulation.panda import ARM_JOINTS, OPTICAL_FRAME, physics_urdf
+from embodied_active_learning.state_dict import StateDict
 
 Rotation = Tuple[Tuple[float, ...], ...]
 """(3, 3), row by row."""
-StateDict = Dict[str, np.ndarray]
-"""Named float64 arrays that determine the further motion of a simulated arm."""
 
 # The Panda compensates gravity, and its servos follow a joint velocity within a millisecond: modelled without gravity
 # and with motors that follow at once.

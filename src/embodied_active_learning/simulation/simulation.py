@@ -11,9 +11,9 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import Command, VelocityCommand
 from embodied_active_learning.simulation.arm import MoveResult, SimulatedArm
 from embodied_active_learning.simulation.disturbance import Disturbance
-from embodied_active_learning.simulation.panda_body import StateDict
 from embodied_active_learning.simulation.scene import Scene, SceneObject
 from embodied_active_learning.simulation.world import World
+from embodied_active_learning.state_dict import StateDict
 
 
 class Simulation:

@@ -20,7 +20,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.model.native.library import load_kernels
+from embodied_active_learning.model.native.library import load_kernels, processor_name
 from embodied_active_learning.objects.report import nearest
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.schema import build, to_plain
@@ -188,11 +188,7 @@ def has_record(folder: Path) -> bool:
 
 def describe_computer() -> str:
     """Return the processor and the versions that results may depend on."""
-    processor = platform.processor() or platform.machine()
-    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-        if line.startswith("model name"):
-            processor = line.partition(":")[2].strip()
-            break
+    processor = processor_name() or platform.processor() or platform.machine()
     python, cores = platform.python_version(), os.cpu_count()
     versions = f"Python {python}, torch {torch.__version__}, numpy {np.__version__}"
     return f"{processor}, {cores} cores; {versions}; {load_kernels().description}"

@@ -71,8 +71,18 @@ def _open(path: Path) -> Kernels:
 
 def _available_features() -> Set[str]:
     """Return the processor's features as /proc/cpuinfo names them."""
+    return set(_cpuinfo("flags", "Features").split())
+
+
+def processor_name() -> str:
+    """Return the processor's name; empty where /proc/cpuinfo has none."""
+    return _cpuinfo("model name")
+
+
+def _cpuinfo(*fields: str) -> str:
+    """Return the first value of any of these fields in /proc/cpuinfo; empty without one."""
     for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
         name, _, value = line.partition(":")
-        if name.strip() in ("flags", "Features"):
-            return set(value.split())
-    return set()
+        if name.strip() in fields:
+            return value.strip()
+    return ""
