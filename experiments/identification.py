@@ -18,7 +18,7 @@ import torch
 from identification_baselines import BASELINES, Stream
 from identification_scenes import CONDITIONS, Place, Row, Scenes, judge, photograph, report, true_kind
 
-from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.config import BELIEF, FROM_BELIEF, LATENTS, PIXELS, IdentificationConfig
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.decision_rule import DecisionRule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
@@ -30,8 +30,8 @@ from embodied_active_learning.simulation.world import World, load_world
 from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
 PAPER = {
-    "ranked (count known), our reading": {"decision": "belief", "min_belief": 0.0},
-    "belief > 0.5": {"decision": "belief"},
+    "ranked (count known), our reading": {"decision": BELIEF, "min_belief": 0.0},
+    "belief > 0.5": {"decision": BELIEF},
 }
 """The paper does not state when a fingerprint counts as identified."""
 
@@ -85,7 +85,7 @@ class Evaluation:
             for one in item.fingerprints
         }
         self.search = Identification(sets, self._box, self.config.camera, self._settings)
-        pixels = replace(self._settings, features="pixels")
+        pixels = replace(self._settings, features=PIXELS)
         self._by_pixels = Identification(sets, self._box, self.config.camera, pixels)
         self._baselines = {name: BASELINES[name](self.config.camera) for name in baselines}
 
@@ -102,13 +102,13 @@ class Evaluation:
 
     def _decisions(self, stream: Stream, views: SceneViews, world: World) -> Iterator[Tuple[str, List[Decision]]]:
         """The decisions of each rule."""
-        for features, search in (("latents", self.search), ("pixels", self._by_pixels)):
+        for features, search in ((LATENTS, self.search), (PIXELS, self._by_pixels)):
             search.reset()
             search.observe(stream.states, stream.images)
             rules = {f"{name}, {features}": replace(self._settings, **changes) for name, changes in PAPER.items()}
-            if features == "latents":
+            if features == LATENTS:
                 rules["verified"] = self._settings
-                rules["verified, candidates of belief"] = replace(self._settings, candidates_from="belief")
+                rules["verified, candidates of belief"] = replace(self._settings, candidates_from=FROM_BELIEF)
                 for rate in self._error_rates:
                     rules[f"verified, error rate {rate:g}"] = replace(self._settings, error_rate=rate)
             for name, settings in rules.items():

@@ -40,6 +40,12 @@ __all__ = [
     "FrankaConfig",
     "WorkspaceConfig",
 ]
+# Choices of settings: fingerprint/clustering, and identification/features, decision, evidence and candidates_from.
+TABLE, CAMERA = CLUSTERINGS = ("table", "camera")
+LATENTS, PIXELS = FEATURES = ("latents", "pixels")
+VERIFIED, BELIEF = DECISIONS = ("verified", "belief")
+TEMPERED, COUNTED = EVIDENCE = ("tempered", "counted")
+FROM_IMAGES, FROM_BELIEF = CANDIDATE_SOURCES = ("images", "belief")
 _DIMENSIONS = len(STATE_NAMES)
 _PROFILE_READER = FileReader(ConfigError, "a profile has sections of keys as in config/default.yaml", follow=True)
 
@@ -171,9 +177,9 @@ class FingerprintConfig:
     """Detection of learned objects in the conditional entropy, and their views (paper, appendix)."""
 
     clustering: str = setting(
-        "table",
+        TABLE,
         "what is clustered: salient table points, or camera positions (paper; needs a bandwidth near 0.09 m)",
-        choices=("table", "camera"),
+        choices=CLUSTERINGS,
     )
     latents: int = setting(10, "latents over which the predicted standard deviation is averaged", "", 1, 1000)
     samples: int = setting(1000, "importance samples of the conditional entropy", "", 50, 100000)
@@ -201,19 +207,19 @@ class IdentificationConfig:
     """Search for fingerprints in new images (paper, appendix), and the decision whether one is found."""
 
     features: str = setting(
-        "latents",
+        LATENTS,
         "features that are compared: latents of the model, or 30 x 30 pixels as a baseline without a model",
-        choices=("latents", "pixels"),
+        choices=FEATURES,
     )
     decision: str = setting(
-        "verified",
+        VERIFIED,
         "criterion: views of each candidate, with limits set by the fingerprint (verified), or min_belief (belief)",
-        choices=("verified", "belief"),
+        choices=DECISIONS,
     )
     evidence: str = setting(
-        "tempered",
+        TEMPERED,
         "weight of an image: shared among the images from one place (tempered), or 1 each (counted)",
-        choices=("tempered", "counted"),
+        choices=EVIDENCE,
     )
     independence_distance: float = setting(0.01, "distance at which two images count as independent", "m", 1e-4, 1.0)
     independence_turn: float = setting(0.2, "yaw at which two images count as independent", "rad", 1e-3, 10.0)
@@ -232,9 +238,9 @@ class IdentificationConfig:
     )
     margin: float = setting(0.0225, "extent of the belief grid beyond the workspace", "m", 0.0, 0.5)
     candidates_from: str = setting(
-        "images",
+        FROM_IMAGES,
         "candidates of decision verified: places that look like the object (images), or peaks of the belief (belief)",
-        choices=("images", "belief"),
+        choices=CANDIDATE_SOURCES,
     )
     candidates: int = setting(8, "largest number of candidates", "", 1, 1000)
     separation: float = setting(0.06, "smallest distance between two objects", "m", 0.005, 1.0)

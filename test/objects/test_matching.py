@@ -13,7 +13,7 @@ from embodied_active_learning.config import Config, IdentificationConfig
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import pose_distance, transform_poses
 from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint
-from embodied_active_learning.objects.matching import PIXELS, Matcher
+from embodied_active_learning.objects.matching import PIXEL_SIDE, Matcher
 from painted_table import Thing, paint
 
 LATENTS = IdentificationConfig()
@@ -192,7 +192,7 @@ def test_pixel_features_are_area_means():
     other = grey.copy()
     other[0, 1:2, :4] = 255  # half of two pixels of the downscaled image
     items = [make_fingerprint(f"object-{i}", np.zeros((1, 3)), images) for i, images in enumerate((grey, other))]
-    assert PIXELS == 30
+    assert PIXEL_SIDE == 30
     assert Matcher(None, items, BY_PIXELS).threshold == pytest.approx(math.sqrt(2 * 3 * 0.25), rel=0.01)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
 
+from embodied_active_learning.config import BELIEF
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.evaluation.result_tables import binomial_interval
 from embodied_active_learning.geometry import Location
@@ -22,7 +23,7 @@ from embodied_active_learning.simulation.truth import true_objects
 
 RANKED, DECIDED = "ranked", "decided"
 RULES: Dict[str, Dict[str, object]] = {
-    RANKED: {"decision": "belief", "min_belief": 0.0},
+    RANKED: {"decision": BELIEF, "min_belief": 0.0},
     DECIDED: {"stop_when_decided": False},  # all objects of a kind count, not only the first one found
 }
 PAPER: Dict[str, Dict[str, Tuple[int, int]]] = {

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from scipy.ndimage import maximum_filter
 
-from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.config import COUNTED, IdentificationConfig
 from embodied_active_learning.geometry import wrap
 from embodied_active_learning.workspace import Workspace
 
@@ -183,7 +183,7 @@ class EvidenceWeights:
         """Return the weights (N,) of the stream's next images, taken from states (N, 3) [m, m, rad]."""
         before, settings = len(self._states), self._settings
         self._states = np.concatenate([self._states, states])
-        if settings.evidence == "counted":
+        if settings.evidence == COUNTED:
             return np.ones(len(states))
         weights = np.empty(len(states))
         for index, state in enumerate(states):

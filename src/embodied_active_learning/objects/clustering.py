@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from sklearn.cluster import MeanShift
 
-from embodied_active_learning.config import Config, FingerprintConfig
+from embodied_active_learning.config import CAMERA, TABLE, Config, FingerprintConfig
 from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
@@ -26,7 +26,7 @@ from embodied_active_learning.workspace import Workspace
 
 _LOG = logging.getLogger(__name__)
 
-_FITTING_BANDWIDTHS = {"camera": (0.07, 0.12), "table": (0.02, 0.07)}
+_FITTING_BANDWIDTHS = {CAMERA: (0.07, 0.12), TABLE: (0.02, 0.07)}
 """Bandwidths [m] with which each kind of clustering locates objects well.
 
 The entropy of camera states has peaks as wide as the footprint of the camera; table points spread over one object.
@@ -119,13 +119,13 @@ def find_objects(
         return Clustering(contrast, flat=True, clusters=(), unreachable=(), visible=visible, background=background)
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
-    if settings.clustering == "camera":
-        objects = _cluster(samples[:, :2], samples[:, 2], settings, workspace)
-    else:
+    if settings.clustering == TABLE:
         points, yaws = _foreground_points(samples, states, images, background, config, random)
         standing = visible.stands_at(points)
         clusters = _cluster(points[standing], yaws[standing], settings, workspace)
         objects = [cluster for cluster in clusters if _is_near(visible.things, cluster.centre, settings.merge_distance)]
+    else:
+        objects = _cluster(samples[:, :2], samples[:, 2], settings, workspace)
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
     blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(

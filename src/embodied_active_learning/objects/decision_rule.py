@@ -12,7 +12,7 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.config import BELIEF, FROM_BELIEF, IdentificationConfig
 from embodied_active_learning.geometry import pose_distance, to_base_frame
 from embodied_active_learning.objects.beliefs import Peak
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
@@ -57,7 +57,7 @@ class DecisionRule:
 
     def is_open(self, target: SearchTarget, group: Sequence[Decision], mosaic: Mosaic) -> bool:
         """Return whether more images may change what is decided about a target, given its resolved candidates."""
-        if self._settings.decision == "belief":
+        if self._settings.decision == BELIEF:
             return True  # a belief states no error rate at which it could stop
         if any(candidate.found for candidate in group) or target.problem:
             return False
@@ -77,7 +77,7 @@ class DecisionRule:
 
     def candidates(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
         """Decide for each candidate place of a target, without regard to other targets."""
-        if self._settings.decision == "belief":
+        if self._settings.decision == BELIEF:
             peaks = target.grid.peaks(self._settings.separation, self._settings.candidates)
             return [self._by_belief(target, peak) for peak in peaks]
         if target.fingerprint.kind == BLANK:
@@ -91,7 +91,7 @@ class DecisionRule:
         """Compare the views of each candidate place with the fingerprint."""
         settings = self._settings
         places, table_match = propose(mosaic, target.appearance, settings.candidates)
-        if settings.candidates_from == "belief":
+        if settings.candidates_from == FROM_BELIEF:
             peaks = target.grid.peaks(settings.separation, settings.candidates)
             places = [_starts(target, peak) for peak in peaks]
         miss = target.calibration.limits(settings.error_rate).miss
@@ -194,7 +194,7 @@ class DecisionRule:
 
     def _rank(self, decision: Decision) -> Tuple[float, ...]:
         """Order among claims of one place: the first one wins."""
-        by_belief = self._settings.decision == "belief"
+        by_belief = self._settings.decision == BELIEF
         return (-decision.belief_mean,) if by_belief else (decision.residual,)
 
     def _winners(self, candidates: Sequence[Decision]) -> List[Tuple[Decision, Decision]]:

@@ -11,7 +11,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.config import CameraConfig, IdentificationConfig
+from embodied_active_learning.config import VERIFIED, CameraConfig, IdentificationConfig
 from embodied_active_learning.errors import ConfigError, CorruptFileError, SessionError
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
@@ -83,7 +83,7 @@ class Identification:
     @property
     def by_views(self) -> bool:
         """Whether decisions are made by comparing views, not by the belief alone."""
-        return self._settings.decision == "verified"
+        return self._settings.decision == VERIFIED
 
     def reset(self) -> None:
         """Forget the stream, to search another scene. What was learned about the fingerprints is kept."""

@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.config import PIXELS, IdentificationConfig
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import transform_poses
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import Fingerprint
 
-PIXELS = 30
+PIXEL_SIDE = 30
 """Side [px] of the downscaled images that the pixel baseline compares in place of latents."""
 
 
@@ -53,7 +53,7 @@ class Matcher:
         """
         self._model = model
         self._fingerprints = tuple(fingerprints)
-        self._by_pixels = settings.features == "pixels"
+        self._by_pixels = settings.features == PIXELS
         self._states = np.concatenate([item.states for item in fingerprints])
         self._starts = np.cumsum([0, *(len(item.states) for item in fingerprints)])
         own = [_pixels(item.images) if self._by_pixels else item.latent_means for item in fingerprints]
@@ -119,5 +119,5 @@ def _pairwise(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _pixels(images: np.ndarray) -> np.ndarray:
     """Downscaled images as vectors (N, 30 * 30 * 3) in [0, 1]."""
-    small = [cv2.resize(image, (PIXELS, PIXELS), interpolation=cv2.INTER_AREA).ravel() for image in images]
+    small = [cv2.resize(image, (PIXEL_SIDE, PIXEL_SIDE), interpolation=cv2.INTER_AREA).ravel() for image in images]
     return np.stack(small).astype(np.float64) / 255.0

@@ -7,7 +7,7 @@ from typing import List
 
 import numpy as np
 
-from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.config import TABLE, IdentificationConfig
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.bare_table import BareTable
@@ -58,7 +58,7 @@ class SearchTarget:
     def has_height(self) -> bool:
         """Whether the object stands on the table, because prints were left out when its fingerprint was made."""
         settings = self._set.config.fingerprint
-        return settings.clustering == "table" and not settings.prints
+        return settings.clustering == TABLE and not settings.prints
 
     @property
     def problem(self) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import List, Optional, Sequence, Union
 
-from embodied_active_learning.config import FingerprintConfig
+from embodied_active_learning.config import TABLE, FingerprintConfig
 from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.calibration import calibrate
@@ -88,7 +88,7 @@ class FingerprintRun:
             )
         objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
         unreachable = len(clustering.unreachable)
-        prints = len(clustering.visible.prints) if self._config.fingerprint.clustering == "table" else 0
+        prints = len(clustering.visible.prints) if self._config.fingerprint.clustering == TABLE else 0
         skipped = f"; skipped {unreachable} more that the camera cannot reach" if unreachable else ""
         if prints:
             skipped += f"; skipped {prints} in the plane of the table (to keep them: fingerprint/prints)"
