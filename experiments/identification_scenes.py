@@ -10,14 +10,14 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.evaluation.result_tables import binomial_interval
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.report import SAME_PLACE, nearest
 from embodied_active_learning.simulation.disturbance import Disturbance
@@ -26,13 +26,10 @@ from embodied_active_learning.simulation.random_world import random_world
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS
 from embodied_active_learning.simulation.world import World, build_world
-from embodied_active_learning.simulation.world_settings import Disturbances, GeneratedTexture, Lighting
+from embodied_active_learning.simulation.world_settings import Disturbances, GeneratedTexture
 
-CONDITIONS = (
-    "learned table", "other table", "brightness", "gradient", "shadow", "white balance", "noise", "motion blur",
-    "9 cm apart", "all",
-)  # fmt: skip
-OTHER_TABLE = ("other table", "all")
+LEARNED_TABLE, CLOSE_OBJECTS, ALL = "learned table", "9 cm apart", "all"
+OTHER_TABLE = ("other table", ALL)
 """Conditions with a table that no session learned."""
 OBJECTS, UNKNOWN_OBJECTS, SPACING, CLOSE = 2, 2, 0.12, 0.09
 EXPOSURE, SPEED = 0.02, 0.15  # s, m/s: a blur of 3 mm, or 3.4 px
@@ -40,6 +37,26 @@ NO_OBJECT = "?"
 """Kind in the tables of a fingerprint at whose centre no object stands."""
 _RESAMPLES = 2000
 _RESERVED_FROM = 500  # number of the first reserved procedural object
+
+
+def _relit(world: World, **values: Any) -> World:
+    return replace(world, lighting=replace(world.lighting, **values))
+
+
+_CHANGES: Dict[str, Callable[[World, np.random.Generator], World]] = {
+    "brightness": lambda world, random: _relit(world, brightness=round(random.uniform(0.5, 1.5), 3)),
+    "gradient": lambda world, random: _relit(
+        world, gradient=2.0, gradient_direction=round(random.uniform(0.0, 6.28), 3)
+    ),
+    "shadow": lambda world, _: _relit(world, shadow=0.4, shadow_centre=(0.475, 0.0), shadow_radius=0.08),
+    "white balance": lambda world, random: _relit(
+        world, white_balance=tuple(np.round(random.uniform(0.88, 1.12, 3), 3))
+    ),
+    "noise": lambda world, _: replace(world, disturbances=Disturbances(image_noise=10.0)),
+    "motion blur": lambda world, _: _relit(world, motion_blur=EXPOSURE),
+}
+"""What a condition changes in a scene. ALL makes all changes in this order: another one would draw other scenes."""
+CONDITIONS = (LEARNED_TABLE, OTHER_TABLE[0], *_CHANGES, CLOSE_OBJECTS, ALL)
 
 
 class Place(NamedTuple):
@@ -88,7 +105,7 @@ class Scenes:
         """Build a scene."""
         seed = zlib.crc32(f"{condition} {number} {self._reserved}".encode())
         random = np.random.default_rng(seed)
-        spacing = CLOSE if condition in ("9 cm apart", "all") else SPACING
+        spacing = CLOSE if condition in (CLOSE_OBJECTS, ALL) else SPACING
         table = GeneratedTexture(
             TEXTURE_KINDS[number % len(TEXTURE_KINDS)], (5000 if self._reserved else 1000) + seed % 1000
         )
@@ -108,9 +125,10 @@ class Scenes:
         own = self._worlds[session]
         chosen = random.choice(len(own.objects), OBJECTS, replace=len(own.objects) < OBJECTS)
         objects = [_moved(own.objects[index], place) for index, place in zip(chosen, world.objects)]
-        changed = replace(world, objects=(*objects, *world.objects[OBJECTS:]), lighting=lighting(condition, random))
-        if condition in ("noise", "all"):
-            changed = replace(changed, disturbances=Disturbances(image_noise=10.0))
+        changed = replace(world, objects=(*objects, *world.objects[OBJECTS:]))
+        for name, change in _CHANGES.items():
+            if condition in (name, ALL):
+                changed = change(changed, random)
         if condition not in OTHER_TABLE:
             changed = replace(changed, table=own.table)
         Scene(changed, self._config.camera).close()
@@ -119,22 +137,6 @@ class Scenes:
 
 def _moved(item: PlacedObject, place: PlacedObject) -> PlacedObject:
     return replace(item, name=place.name, position=place.position, yaw=place.yaw)
-
-
-def lighting(condition: str, random: np.random.Generator) -> Lighting:
-    """Draw the light of a condition."""
-    values: Dict[str, object] = {}
-    if condition in ("brightness", "all"):
-        values["brightness"] = round(random.uniform(0.5, 1.5), 3)
-    if condition in ("gradient", "all"):
-        values.update(gradient=2.0, gradient_direction=round(random.uniform(0.0, 6.28), 3))
-    if condition in ("shadow", "all"):
-        values.update(shadow=0.4, shadow_centre=(0.475, 0.0), shadow_radius=0.08)
-    if condition in ("white balance", "all"):
-        values["white_balance"] = tuple(np.round(random.uniform(0.88, 1.12, 3), 3))
-    if condition in ("motion blur", "all"):
-        values["motion_blur"] = EXPOSURE
-    return Lighting(**values)  # type: ignore[arg-type]
 
 
 def photograph(world: World, config: Config, count: int, seed: int) -> Tuple[np.ndarray, np.ndarray]:
@@ -193,7 +195,7 @@ def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[st
         present=int(kind == BLANK or bool(instances)),
         hit=int(hit),
         false_claim=int(false),
-        undecided=int(not found and any(item.outcome == "undecided" for item in decisions)),
+        undecided=int(not found and any(item.outcome == UNDECIDED for item in decisions)),
         error=float(error) if hit else float("nan"),
         reason=decisions[0].reason if decisions else "",
     )

@@ -18,6 +18,7 @@ from typing import Dict, List, Tuple
 
 import numpy as np
 from identification_scenes import (
+    CONDITIONS,
     Place,
     Row,
     Scenes,
@@ -56,7 +57,9 @@ def main() -> None:
     """Search the scenes of one half and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--half", choices=list(HALVES), default="tuning")
-    parser.add_argument("--conditions", nargs="*", default=["learned table", "other table", "brightness", "all"])
+    parser.add_argument(
+        "--conditions", nargs="*", default=["learned table", "other table", "brightness", "all"], choices=CONDITIONS
+    )
     parser.add_argument("--scenes", type=int, default=10, help="scenes of each condition")
     parser.add_argument("--images", type=int, default=300, help="images of each scene")
     parser.add_argument("--output", type=Path, help="CSV file to which rows are appended; scenes in it are skipped")
