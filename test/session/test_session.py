@@ -150,8 +150,8 @@ def test_file_or_link_as_session_is_rejected(tmp_path):
     create(tmp_path, name="target")
     (tmp_path / "b").symlink_to(tmp_path / "target")
     (tmp_path / "c").symlink_to(tmp_path / "nowhere")
-    for name in ("a", "b", "c"):
-        with pytest.raises(SessionError, match="is not a session"):
+    for name, message in (("a", "is not a session"), ("b", "b is a symbolic link"), ("c", "c is a symbolic link")):
+        with pytest.raises(SessionError, match=message):
             Session.open_for_writing(make_config(tmp_path, name=name, resume=True))
 
 

@@ -1,4 +1,11 @@
-"""Paths of the parts of a session."""
+"""Paths of the parts of a session, and which symbolic links are followed.
+
+* session/root, and the path of a session that a user gives to read it, may be links.
+* A session that is chosen by its name, such as one with fingerprints, may be a link that stays below session/root
+  (`stays_inside`). A session that is created or resumed is never a link (`check_not_link`).
+* Folders of a session may be links that stay inside it (`stays_inside`, `SessionPaths.check_links`).
+* Files of a session are never links (files.open_regular_file); profiles, worlds and what these refer to may be links.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +26,15 @@ def stays_inside(folder: Path, path: Path) -> Path:
     if os.path.commonpath((os.path.realpath(folder), real)) != os.path.realpath(folder):
         raise SessionError(f"{path} leads out of {folder}, to {real}: replace the link by what it refers to")
     return path
+
+
+def check_not_link(path: Path) -> None:
+    """Raise SessionError if the folder of a session that is to be created or resumed is a symbolic link."""
+    if path.is_symlink():
+        raise SessionError(
+            f"{path} is a symbolic link, and a session must be a folder: link session/root instead, or choose another "
+            "session/name"
+        )
 
 
 class SessionPaths:

@@ -26,6 +26,7 @@ from embodied_active_learning.session.paths import (
     LOCK_FILE,
     SUMMARY_FILE,
     SessionPaths,
+    check_not_link,
     stays_inside,
 )
 from embodied_active_learning.session.summary import reopen_summary
@@ -157,8 +158,9 @@ def check_session(config: Config) -> Path:
     """Check that the configured session can be opened for writing, without creating anything. Return its folder.
 
     Raises:
-        SessionError: Invalid name; not a session folder; in use; exists already (without session/resume) or does not
-            exist (with it); stored with settings that must not change; or the disk is too small.
+        SessionError: Invalid name; not a session folder, or a symbolic link; in use; exists already (without
+            session/resume) or does not exist (with it); stored with settings that must not change; or the disk is too
+            small.
     """
     path = session_path(config)
     try:
@@ -183,6 +185,7 @@ def _known_sessions(root: Path) -> str:
 
 
 def _check_folder(path: Path, config: Config) -> None:
+    check_not_link(path)
     if not _is_new(path):
         _check_existing(path, config)
     elif config.session.resume:
@@ -190,7 +193,7 @@ def _check_folder(path: Path, config: Config) -> None:
 
 
 def _check_existing(path: Path, config: Config) -> None:
-    if path.is_symlink() or not (path / CONFIG_FILE).is_file():
+    if not (path / CONFIG_FILE).is_file():
         raise SessionError(f"{path} exists but is not a session: choose another session/name")
     SessionPaths(path).check_links()
     stored = read_description(path / CONFIG_FILE)
@@ -213,6 +216,6 @@ def _check_existing(path: Path, config: Config) -> None:
 
 def _is_new(path: Path) -> bool:
     """Return whether the path is free, or has only leftovers of a process killed while creating a session."""
-    if not path.is_dir() or path.is_symlink():
-        return not (path.exists() or path.is_symlink())
+    if not path.is_dir():
+        return not path.exists()
     return all(entry.name == LOCK_FILE or is_leftover(entry.name) for entry in path.iterdir())
