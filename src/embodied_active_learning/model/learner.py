@@ -112,14 +112,15 @@ class Learner:
         """Do what precedes the next update: initialise the colour, and evaluate the schedule if that is due.
 
         Args:
-            trainers: Number of trainers that take turns in numbering the updates: this one makes each trainers-th.
+            trainers: Number of trainers that take turns in numbering the updates. Of four, this one makes updates 0, 4,
+                8, ... of a round that begins with 0, and the workers those in between.
         """
         if self._prepared == self.updates:
             return
         count = self._count(self.updates)
         if self.updates == 0 and self._config.training.start_at_mean_colour:
             self.network.set_initial_colour(self._mean_colour(count))
-        if -self.updates % self._config.objective.schedule_every < trainers:  # a multiple among the next numbers
+        if self._schedule_due(trainers):
             self._evaluate_schedule(count)
         self._prepared = self.updates
 
@@ -138,7 +139,7 @@ class Learner:
         self.prepare(trainers)
         number, beta, gamma = self.updates, self.schedule.beta, self.schedule.gamma
         terms = self.step(number, beta, gamma)
-        self.updates = number + trainers
+        self.updates = number + trainers  # the workers make those in between
         return UpdateReport(
             update=self.updates,
             observations=self._count(number),
@@ -152,6 +153,27 @@ class Learner:
             active_units=active_units(terms.latent_means, self._config.training.active_unit_threshold),
             log_std_min=self.schedule.log_std_min,
             log_std_max=self.schedule.log_std_max,
+        )
+
+    def step(self, number: int, beta: float, gamma: float) -> LossTerms:
+        """Take an update, by its number from 0, with given loss weights, without counting it.
+
+        A worker calls it for its share of a round, with the weights that the owner has sent; `update` calls it for the
+        owner's. Takes the first pair of batches whose loss is finite and below LOSS_LIMIT, and gradient finite.
+
+        Raises:
+            DivergenceError: Like update().
+        """
+        count = self._count(number)
+        for _ in range(ATTEMPTS):
+            terms = self._compute_gradients(count, beta, gamma)
+            if float(terms.total) < LOSS_LIMIT and math.isfinite(float(terms.total + terms.gradient_sum)):
+                self._optimiser.step()
+                return terms
+            self.skipped += 1
+        raise DivergenceError(
+            f"training diverged: loss or gradient not finite, or loss above {LOSS_LIMIT:g}, for {ATTEMPTS} batches in a"
+            f" row at update {number + 1}; lower training/learning_rate"
         )
 
     def evaluate(self) -> Evaluation:
@@ -316,24 +338,6 @@ class Learner:
         self.schedule.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
 
-    def step(self, number: int, beta: float, gamma: float) -> LossTerms:
-        """Take an update, by its number from 0, with given loss weights, without counting it.
-
-        Takes the first pair of batches whose loss is finite and below LOSS_LIMIT, and gradient finite. Raises
-        DivergenceError like update().
-        """
-        count = self._count(number)
-        for _ in range(ATTEMPTS):
-            terms = self._compute_gradients(count, beta, gamma)
-            if float(terms.total) < LOSS_LIMIT and math.isfinite(float(terms.total + terms.gradient_sum)):
-                self._optimiser.step()
-                return terms
-            self.skipped += 1
-        raise DivergenceError(
-            f"training diverged: loss or gradient not finite, or loss above {LOSS_LIMIT:g}, for {ATTEMPTS} batches in a"
-            f" row at update {number + 1}; lower training/learning_rate"
-        )
-
     def _compute_gradients(self, count: int, beta: float, gamma: float) -> LossTerms:
         """Draw two batches, each without repetition, and compute the loss and its gradient."""
         size = self._config.training.batch_size
@@ -346,6 +350,14 @@ class Learner:
     def _count(self, update: int) -> int:
         """Number of observations, from the first on, that update number `update` (from 0) uses."""
         return min(len(self._observations), self._config.observations_needed(update))
+
+    def _schedule_due(self, trainers: int) -> bool:
+        """Whether the schedule is evaluated before the next updates of all trainers.
+
+        It is evaluated at each multiple of schedule_every: with 25 and four trainers, before updates 24 to 27.
+        """
+        every = self._config.objective.schedule_every
+        return any(number % every == 0 for number in range(self.updates, self.updates + trainers))
 
     def _mean_colour(self, count: int) -> torch.Tensor:
         """(3,) mean of all pixels of the first `count` observations, in [0, 1]."""
