@@ -55,6 +55,13 @@ def hand_over(run, indices):
         run.observe(index, 0.2 * index, state, random.integers(0, 256, (24, 24, 3), dtype=np.uint8))
 
 
+def test_header_round_trip_keeps_types():
+    header = Header(ROUND, 1, 2, 3, 4, 5, 6, 1, 0.5, 2.0)
+    received = Header.from_tensor(header.tensor())
+    assert received == header
+    assert list(map(type, received)) == list(map(type, header))
+
+
 @contextmanager
 def workers(run, count):
     """Workers in threads of this process."""

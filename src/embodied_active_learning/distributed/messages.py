@@ -8,7 +8,7 @@ The response to each message is the number of updates made, (1,) float64; to a R
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 import torch
 
@@ -19,7 +19,7 @@ TICKETS, CONFIG = "tickets", "config"
 
 
 class Header(NamedTuple):
-    """A header; as a tensor (10,) float64, which holds whole numbers up to 2^53."""
+    """A header; as a tensor float64 of one number per field, which holds whole numbers up to 2^53."""
 
     kind: int
     observations: int = 0  # in the message
@@ -49,8 +49,8 @@ class Header(NamedTuple):
     @classmethod
     def from_tensor(cls, values: torch.Tensor) -> Header:
         """Return the header in a tensor."""
-        numbers = values.tolist()
-        return cls(*map(int, numbers))._replace(beta=numbers[-2], gamma=numbers[-1])
+        types = get_type_hints(cls).values()
+        return cls(*(convert(number) for convert, number in zip(types, values.tolist())))
 
 
 def empty_response() -> torch.Tensor:
