@@ -1,4 +1,7 @@
-"""Effect of lighting on the camera's images: brightness, gradient, soft shadow, and white balance."""
+"""Effect of lighting on the camera's images: brightness, gradient, soft shadow, and white balance.
+
+It only multiplies the rendered colours: objects cast no shadows, and their shading is that of the renderer (scene).
+"""
 
 from __future__ import annotations
 

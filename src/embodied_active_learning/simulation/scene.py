@@ -24,7 +24,7 @@ from embodied_active_learning.simulation.world import World
 
 _NEAR = 0.01  # m
 Pose = Union[Sequence[float], np.ndarray]
-_LIGHT = {
+_SHADING = {
     "lightDirection": [0.4, 0.5, 1.0],
     "lightColor": [1.0, 1.0, 1.0],
     "lightDistance": 2.0,
@@ -131,7 +131,7 @@ class Scene:
             projectionMatrix=_projection_matrix(matrix, columns, rows, 2.0 * camera[2, 3] + 1.0),
             renderer=pybullet.ER_TINY_RENDERER,
             physicsClientId=self._client,
-            **_LIGHT,
+            **_SHADING,
         )
         objects: np.ndarray = np.asarray(colours, dtype=np.uint8).reshape(rows, columns, 4)
         covered: np.ndarray = (np.asarray(bodies).reshape(rows, columns) >= 0).astype(np.uint8)
