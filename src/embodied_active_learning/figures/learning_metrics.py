@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Protocol, Sequence
+from typing import Any, Callable, Dict, List, Protocol, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,8 +24,10 @@ from embodied_active_learning.figures.style import (
 from embodied_active_learning.figures.top_view import SessionImages, load_session_images
 from embodied_active_learning.figures.workspace_axes import draw_path, draw_top_view
 
-_ROW_HEIGHTS = (1.0, 1.0, 1.0, 1.0, 2.6)
-_COLUMN_WIDTH, _LABEL_WIDTH, _HEIGHT = 3.2, 1.0, 9.2  # inches
+_COLUMN_WIDTH, _LABEL_WIDTH, _ROW_HEIGHT = 3.2, 1.0, 9.2 / 6.6  # inches, of a row of height 1
+
+_Row = Tuple[float, Callable[[Axes, Sequence["MeasuredRun"]], None]]
+"""Relative height of a row, and what draws it for the runs of a column."""
 
 
 class MeasuredRun(Protocol):
@@ -47,21 +49,26 @@ def draw_learning_metrics(
 
     load_images: returns the images of a run.
     """
-    columns = _columns(sessions)
-    figure = new_figure(_LABEL_WIDTH + _COLUMN_WIDTH * len(columns), _HEIGHT)
-    grid = figure.subplots(
-        len(_ROW_HEIGHTS), len(columns), squeeze=False, gridspec_kw={"height_ratios": _ROW_HEIGHTS}, sharey="row"
+
+    def draw_workspace(axes: Axes, members: Sequence[MeasuredRun]) -> None:
+        _draw_workspace(axes, members[0], load_images(members[0]))
+
+    rows: Sequence[_Row] = (
+        (1.0, _draw_active_units),
+        (1.0, _draw_ergodic_measure),
+        (1.0, _draw_loss),
+        (1.0, _draw_weights),
+        (2.6, draw_workspace),
     )
+    columns, heights = _columns(sessions), [height for height, _ in rows]
+    figure = new_figure(_LABEL_WIDTH + _COLUMN_WIDTH * len(columns), _ROW_HEIGHT * sum(heights))
+    grid = figure.subplots(len(rows), len(columns), squeeze=False, gridspec_kw={"height_ratios": heights}, sharey="row")
     for index, (title, members) in enumerate(columns.items()):
-        axes: List[Axes] = list(grid[:, index])
-        axes[0].set_title(title, fontsize=LARGE)
-        _draw_active_units(axes[0], members)
-        _draw_ergodic_measure(axes[1], members)
-        _draw_loss(axes[2], members)
-        _draw_weights(axes[3], members)
-        _draw_workspace(axes[4], members[0], load_images(members[0]))
-        for later in axes if index else ():
-            later.set_ylabel("")
+        grid[0, index].set_title(title, fontsize=LARGE)
+        for axes, (_, draw) in zip(grid[:, index], rows):
+            draw(axes, members)
+            if index:
+                axes.set_ylabel("")
     return save(figure, path, sessions[0].config.session.pdf_figures)
 
 
