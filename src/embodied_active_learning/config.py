@@ -26,7 +26,7 @@ from embodied_active_learning.hardware_config import (
     WorkspaceConfig,
 )
 from embodied_active_learning.registry import EXPLORERS, MEASURES
-from embodied_active_learning.schema import build, check_keys, nearest, setting, to_plain
+from embodied_active_learning.schema import build, check_keys, setting, suggestion, to_plain
 from embodied_active_learning.workspace import STATE_NAMES
 
 __all__ = [
@@ -398,7 +398,7 @@ def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:
     known = sorted(candidate.stem for candidate in folder.glob("*.yaml")) if folder else []
     if folder is None or name_or_path not in known:
         raise ConfigError(
-            f"unknown profile {name_or_path!r}: {nearest(name_or_path, known)}; or give the path of a YAML file"
+            f"unknown profile {name_or_path!r}: {suggestion(name_or_path, known)}; or give the path of a YAML file"
         )
     return folder / f"{name_or_path}.yaml"
 

@@ -134,7 +134,7 @@ def legal_values(item: dataclasses.Field) -> str:
     return "" if math.isinf(low) and math.isinf(high) else f"{low:g} .. {high:g}"
 
 
-def nearest(name: str, known: Collection[str], prefix: str = "") -> str:
+def suggestion(name: str, known: Collection[str], prefix: str = "") -> str:
     """Return "did you mean X?" for the most similar name, or the list of known names."""
     similar = difflib.get_close_matches(name[:_MAX_KEY_LENGTH], list(known), n=1, cutoff=0.4)
     return f"did you mean {prefix}{similar[0]}?" if similar else f"known are {', '.join(known)}"
@@ -180,7 +180,7 @@ class _Builder:
             if key not in known:
                 text, prefix = str(key)[:_MAX_KEY_LENGTH], f"{place}/" if place else ""
                 kind = "section" if sections else "key"
-                raise self._refuse(f"unknown {kind} {prefix}{text}: {nearest(text, known, prefix)}")
+                raise self._refuse(f"unknown {kind} {prefix}{text}: {suggestion(text, known, prefix)}")
 
     def _value(self, kind: Any, item: dataclasses.Field, value: Any, place: str) -> Any:
         """Check a value against a type. item: the dataclass field with default and legal values."""
@@ -220,7 +220,7 @@ class _Builder:
             raise self._wrong(place, value, "a text")
         choices = legal["choices"]
         if choices and value not in choices:
-            hint = nearest(value, choices)
+            hint = suggestion(value, choices)
             ending = f"; {hint}" if hint.startswith("did") else ""
             raise self._wrong(place, value, f"one of {', '.join(choices)}{ending}")
         return value

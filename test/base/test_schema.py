@@ -12,7 +12,7 @@ from embodied_active_learning.config import Config, load_profile
 from embodied_active_learning.errors import ConfigError, CorruptFileError, WorldError
 from embodied_active_learning.files import FileReader, parse_yaml
 from embodied_active_learning.registry import Registry
-from embodied_active_learning.schema import build, legal_values, load, nearest, required, setting, settings, to_plain
+from embodied_active_learning.schema import build, legal_values, load, required, setting, settings, suggestion, to_plain
 
 READER = FileReader(CorruptFileError, "restore it")
 KINDS = Registry("kind", {"round": "math:sin"})
@@ -169,7 +169,7 @@ def test_documentation_lists_sections_and_ranges():
 
 
 def test_dissimilar_name_lists_all_known_ones():
-    assert nearest("xyz", ["ergodic", "uniform"]) == "known are ergodic, uniform"
+    assert suggestion("xyz", ["ergodic", "uniform"]) == "known are ergodic, uniform"
 
 
 def test_unknown_registry_entry_lists_known_ones():

@@ -18,7 +18,7 @@ from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.pipeline.identification import IdentificationRun
 from embodied_active_learning.pipeline.resolve import resolve_config
-from embodied_active_learning.schema import nearest, settings
+from embodied_active_learning.schema import settings, suggestion
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session, find_session, session_root
 from embodied_active_learning.session.session_model import load_session_model
@@ -190,5 +190,5 @@ def _sections(overrides: Mapping[str, Any]) -> Dict[str, Dict[str, Any]]:
             choices = " or ".join(f"{section}={{{name!r}: ...}}" for section in keys[name])
             raise ConfigError(f"{name} is a key of several sections: give {choices}")
         else:
-            raise ConfigError(f"unknown key {name}: {nearest(name, [*names, *keys])}")
+            raise ConfigError(f"unknown key {name}: {suggestion(name, [*names, *keys])}")
     return sections

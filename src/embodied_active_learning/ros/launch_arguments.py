@@ -11,7 +11,7 @@ from roslaunch.core import RLException
 from roslaunch.rlutil import resolve_launch_arguments
 
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.schema import nearest
+from embodied_active_learning.schema import suggestion
 
 _GENERATIONS = 4  # processes between a launch file's command and roslaunch, such as a shell
 
@@ -43,7 +43,7 @@ def check_command_line(arguments: Sequence[str]) -> None:
 
 
 def _hint(name: str, known: List[str]) -> str:
-    hint = nearest(name, known)
+    hint = suggestion(name, known)
     return f": {hint[:-1]}:=?" if hint.endswith("?") else f": {hint}"
 
 

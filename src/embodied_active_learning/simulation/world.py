@@ -12,7 +12,7 @@ from typing import Dict, Optional, Tuple, Union
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.schema import load, nearest
+from embodied_active_learning.schema import load, suggestion
 from embodied_active_learning.simulation.assets import check_picture
 from embodied_active_learning.simulation.object_model import ObjectModel, read_model
 from embodied_active_learning.simulation.placed_objects import PlacedObject, Table
@@ -97,7 +97,7 @@ def find_world(name_or_path: Union[str, Path]) -> Path:
         return path.absolute()
     known = world_names()
     if name not in known:
-        raise WorldError(f"unknown world {name!r}: {nearest(name, known)} Or give the path of a YAML file")
+        raise WorldError(f"unknown world {name!r}: {suggestion(name, known)} Or give the path of a YAML file")
     return worlds_folder() / f"{name}.yaml"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.figures.curves import Curve
-from embodied_active_learning.schema import nearest, settings
+from embodied_active_learning.schema import settings, suggestion
 from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.sweep.run_records import RECORD_FILE, Record, load_record
 
@@ -65,7 +65,7 @@ def group_records(records: Sequence[Record], key: str) -> Dict[str, List[Record]
     """
     names = ["variant", *(f"{section}/{item.name}" for section, item in settings(Config) if section != "session")]
     if key not in names:
-        raise ConfigError(f"runs cannot be grouped by {key}: {nearest(key, names)}")
+        raise ConfigError(f"runs cannot be grouped by {key}: {suggestion(key, names)}")
     groups: Dict[str, List[Record]] = {}
     for record in records:
         section, _, name = key.partition("/")
