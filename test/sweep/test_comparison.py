@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from embodied_active_learning.errors import ConfigError, SessionError
-from embodied_active_learning.sweep import compare
-from embodied_active_learning.sweep.compare import main
+from embodied_active_learning.sweep import compare_sessions
+from embodied_active_learning.sweep.compare_sessions import main
 from embodied_active_learning.sweep.comparison import bootstrap_mean, compare_columns, group_records, load_records
 from embodied_active_learning.sweep.csv_files import read_rows, write_rows
 from embodied_active_learning.sweep.record_figures import render_top_view
@@ -71,7 +71,9 @@ def test_record_is_written_small_and_read_again(tmp_path):
 
 
 def test_command_writes_table_and_csv(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(compare, "draw_curves", lambda path, panels, axes: path if set(panels) == set(axes) else None)
+    monkeypatch.setattr(
+        compare_sessions, "draw_curves", lambda path, panels, axes: path if set(panels) == set(axes) else None
+    )
     for record in RECORDS:
         write_record(tmp_path / "results" / record.name, record)
     assert main([str(tmp_path / "results"), "--output", str(tmp_path / "out")]) == 0

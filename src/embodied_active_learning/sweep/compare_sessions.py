@@ -1,6 +1,6 @@
 """Compare runs: mean and bootstrap 95 % interval over seeds of every column of their tables, as figure and CSV.
 
-    python3 -m embodied_active_learning.sweep.compare experiments/results/learning_metrics --by exploration/explorer
+    rosrun embodied_active_learning compare_sessions experiments/results/learning_metrics --by exploration/explorer
 
 Runs are sessions, records of a sweep, or folders of records. Prints the last values as a table, and writes
 comparison.csv, comparison.png and comparison.pdf.
