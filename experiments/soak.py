@@ -5,7 +5,7 @@
     python3 experiments/soak.py
 
 Samples all nodes until learning has finished, or for --seconds; prints a table, and exits 1 if something grows. Growth
-is the rise of a straight line through the second half of the samples. The first half is for warm-up: it should include
+is that of a straight line fitted to the second half of the samples. The first half is for warm-up: it should include
 the trainer's first seven or eight checkpoints (training/checkpoint_every), whose memory is reused by later ones. The
 images that the trainer keeps in memory are subtracted.
 """
@@ -62,11 +62,11 @@ def sample(process: int) -> Optional[Sample]:
 
 
 def growth(samples: Sequence[Sample], resource: str) -> float:
-    """Return the rise of a straight line through the second half of the samples."""
+    """Return how much a straight line fitted to the second half of the samples grows."""
     half = samples[len(samples) // 2 :]
     times = np.array([item.time for item in half])
-    slope = np.polyfit(times, [getattr(item, resource) for item in half], 1)[0]
-    return float(slope * (times[-1] - times[0]))
+    rate = np.polyfit(times, [getattr(item, resource) for item in half], 1)[0]
+    return float(rate * (times[-1] - times[0]))
 
 
 def growing(samples: Sequence[Sample], memory: float = LIMITS["memory"]) -> List[str]:

@@ -27,13 +27,13 @@ from sample_session import NAME, configuration, fingerprints, network, observati
 PARTS = ("observation", "row", "checkpoint", "model", "fingerprints", "summary")
 
 
-def tell(what: str, number: int) -> None:
-    """Say that it is written; a pipe takes a short line whole, and keeps it when the writer is killed."""
+def report(what: str, number: int) -> None:
+    """Report what is written; a pipe takes a short line whole, and keeps it when the writer is killed."""
     os.write(1, f"{what} {number}\n".encode())
 
 
 class Writer:
-    """Goes on with the session, or begins it."""
+    """Resumes the session, or creates it."""
 
     def __init__(self, root: Path) -> None:
         self._config = configuration(root, resume=(root / NAME / "config.yaml").exists())
@@ -46,7 +46,7 @@ class Writer:
         """Write a part containing the number of observations, and report it."""
         number = len(self._store)
         getattr(self, f"_write_{part}")(number)
-        tell(part, number)
+        report(part, number)
 
     def _write_observation(self, number: int) -> None:
         self._store.append(*observation(number))
@@ -73,7 +73,7 @@ class Writer:
 
 def live(root: Path, part: str = "", byte: str = "") -> None:
     """The life of a forked writer."""
-    tell("writer", os.getpid())
+    report("writer", os.getpid())
     if not part:
         writer = Writer(root)
         while True:
@@ -96,10 +96,10 @@ def die_at_byte(byte: int) -> None:
 
 
 def main() -> None:
-    """Fork a writer for every line, and bury it."""
+    """Fork a writer for every line, and wait until it is dead."""
     torch.set_num_threads(1)
     disk.SPARE_BYTES = 0
-    tell("ready", 0)
+    report("ready", 0)
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
@@ -107,7 +107,7 @@ def main() -> None:
             live(Path(root), *wish)
             os._exit(0)
         os.waitpid(child, 0)
-        tell("ended", child)
+        report("ended", child)
 
 
 if __name__ == "__main__":

@@ -362,10 +362,12 @@ def safetensors_header(path):
 def resealed(path, arrays, facts):
     """Change arrays and facts of a file, None removes one; with a checksum that is right."""
     kind = json.loads(safetensors_header(path)["__metadata__"]["header"])["format"].rpartition("/")[2]
-    found, said = read_arrays(path, kind)
+    found, stored_facts = read_arrays(path, kind)
     whole = {name: array for name, array in {**found, **arrays}.items() if array is not None}
     path.unlink()
-    write_arrays(path, kind, whole, {name: fact for name, fact in {**said, **facts}.items() if fact is not None})
+    write_arrays(
+        path, kind, whole, {name: fact for name, fact in {**stored_facts, **facts}.items() if fact is not None}
+    )
 
 
 @pytest.mark.parametrize(

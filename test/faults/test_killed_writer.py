@@ -34,7 +34,7 @@ SCRIPT = Path(__file__).with_name("killed_writer.py")
 
 
 class Writers:
-    """Writers that live for a moment each, and what they said was written."""
+    """Writers that live for a moment each, and what they reported as written."""
 
     def __init__(self) -> None:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -85,8 +85,8 @@ class Writers:
         self._process.stdout.close()
 
     def _expect(self, what: str) -> int:
-        said, number = self._read()
-        assert said == what
+        part, number = self._read()
+        assert part == what
         return number
 
     def _read(self):
@@ -162,7 +162,7 @@ def check(path, acknowledged):
         assert found.updates >= newest["fingerprints"]
         expected = fingerprints(session.config, found.updates).fingerprints[0]
         assert np.array_equal(found.fingerprints[0].images, expected.images)
-    if session.paths.summary.exists():  # it goes when a run goes on
+    if session.paths.summary.exists():  # it is deleted when a run resumes
         read_summary(session.paths.summary)
 
 

@@ -336,7 +336,7 @@ def die_before(step):
         if event in ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir") and next(steps) == step:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    os.fsync = lambda _: None  # the machine goes on
+    os.fsync = lambda _: None  # the machine keeps running
     sys.addaudithook(count)
 
 
@@ -433,7 +433,7 @@ def test_flipped_bits_are_detected_by_file(session, name):
         flipped[position] ^= 1 << (position % 8)
         path.write_bytes(flipped)
         refusals += refusal(session, make_set())
-    assert all(name in said for said in refusals)
+    assert all(name in message for message in refusals)
     assert len(refusals) > len(tried) / 2
 
 
@@ -584,9 +584,9 @@ def test_invalid_set_with_valid_checksum_is_rejected(session, field, value, mess
 )
 def test_invalid_fingerprint_with_valid_checksum_is_rejected(session, tensors, facts, message):
     path = save_fingerprints(session, make_set()) / "object-1" / "fingerprint.safetensors"
-    stored, said = read_tensors(path, "fingerprint")
+    stored, stored_facts = read_tensors(path, "fingerprint")
     changed = {name: tensor for name, tensor in {**stored, **tensors}.items() if tensor is not None}
-    write_tensors(path, "fingerprint", changed, {**said, **facts})
+    write_tensors(path, "fingerprint", changed, {**stored_facts, **facts})
     with pytest.raises(CorruptFileError, match=rf"fingerprint.safetensors: {message}"):
         load_fingerprints(session)
 

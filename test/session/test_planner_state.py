@@ -63,9 +63,9 @@ def test_missing_planner_state_is_none(tmp_path):
 def test_invalid_planner_state_is_rejected(tmp_path, memory, arrays, facts, words):
     path = tmp_path / "planner.safetensors"
     save_planner_state(path, memory)
-    stored, said = read_arrays(path, "planner")
+    stored, stored_facts = read_arrays(path, "planner")
     changed = {name: array for name, array in {**stored, **arrays}.items() if array is not None}
-    write_arrays(path, "planner", changed, {**said, **facts})
+    write_arrays(path, "planner", changed, {**stored_facts, **facts})
     with pytest.raises(CorruptFileError, match=rf"planner.safetensors: {words}.*delete it"):
         load_planner_state(path)
 

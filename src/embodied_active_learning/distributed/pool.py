@@ -117,7 +117,7 @@ class Worker:
         self._exchange(Header(IDLE).tensor())
 
     def make_updates(self, task: Task) -> Result:
-        """Let the worker make its updates. Raises LinkError also if the result is invalid."""
+        """Make the worker compute its updates. Raises LinkError also if the result is invalid."""
         began = time.monotonic()
         if len(self._weights) != len(task.weights):
             self._weights = torch.zeros_like(task.weights)
@@ -209,7 +209,7 @@ class WorkerPool:
             return sorted((worker.status for worker in self._ready), key=lambda status: status.slot)
 
     def close(self) -> None:
-        """Let no more workers join, and drop all."""
+        """Drop all workers, and allow no more to join."""
         with self._changed:
             self._closed = True
             self._ready = []

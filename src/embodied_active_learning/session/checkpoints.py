@@ -73,7 +73,7 @@ def save_checkpoint(
     kept = stored[stored.index(path) :][:keep]
     for other in stored:
         if other not in kept:
-            with suppress(OSError):  # the next call tries again
+            with suppress(OSError):  # the next call retries
                 other.unlink()
     return path
 
