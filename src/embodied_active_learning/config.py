@@ -106,7 +106,6 @@ class TrainingConfig:
     worker_timeout: float = setting(
         30.0, "time that a round waits for a worker after the trainer's own updates", "s", 0.1, 3600.0
     )
-    active_unit_threshold: float = setting(0.01, "variance of a latent mean that makes a unit active", "", 0.0, 100.0)
     evaluate_every: int = setting(
         300, "interval between evaluations on a random subset of the observations", "updates", 1, 1000000
     )

@@ -11,7 +11,7 @@ from typing import Any, Dict, Mapping, Optional
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
 
-CONFIG_VERSION = 4
+CONFIG_VERSION = 5
 FIRST_BAG_VERSION = 2
 """Version of the configuration in bags that do not state one."""
 
@@ -28,6 +28,7 @@ _RENAMED: Mapping[int, Mapping[str, Optional[str]]] = {
         "identification/object_radius": None,
         "identification/min_views": None,
     },
+    5: {"training/active_unit_threshold": None},
 }
 """Version -> old key -> its name since that version, or None if it was removed."""
 

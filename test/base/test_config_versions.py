@@ -18,6 +18,11 @@ def test_removed_keys_of_an_older_version_are_ignored():
     assert stored_config(old, 3).identification.separation == 0.05
 
 
+def test_removed_threshold_of_active_units_is_ignored():
+    stored = {"training": {"active_unit_threshold": 0.02, "batch_size": 32}}
+    assert stored_config(stored, 4).training.batch_size == 32
+
+
 def test_current_version_refuses_old_keys():
     with pytest.raises(ConfigError, match="unknown key identification/min_rise"):
         stored_config({"identification": {"min_rise": 0.02}}, CONFIG_VERSION)

@@ -13,10 +13,9 @@ from embodied_active_learning.model.metrics import active_units, evaluate_model,
 
 
 def test_active_units_use_the_unbiased_variance():
-    # variances 0.02 (0.01 with N in the denominator), 0 and 0.005
-    means = torch.tensor([[0.0, 5.0, 0.0], [0.2, 5.0, 0.1]])
-    assert active_units(means, 0.015) == 1
-    assert active_units(means, 0.004) == 2
+    # variances 0.0128 (0.0064 with N in the denominator), 0 and 0.005
+    means = torch.tensor([[0.0, 5.0, 0.0], [0.16, 5.0, 0.1]])
+    assert active_units(means) == 1
 
 
 @pytest.mark.parametrize("inference", [TorchInference(), make_inference((45, 45), ModelConfig())])
@@ -27,7 +26,7 @@ def test_reconstruction_errors_are_mean_squared_pixel_errors(inference, count):
     subset = Batch(torch.rand(count, 3), torch.randint(0, 256, (count, 45, 45, 3), dtype=torch.uint8))
     with torch.no_grad():
         latents = network.encode(*subset).mean
-        _, found = evaluate_model(network, inference, subset, 0.01)
+        _, found = evaluate_model(network, inference, subset)
         for name, used in (("own", latents), ("shuffled", latents.roll(1, dims=0)), ("none", 0.0 * latents)):
             images, _ = network.decode(used, subset.states)
             expected = np.mean((subset.images.numpy() / 255.0 - images.permute(0, 2, 3, 1).numpy()) ** 2)

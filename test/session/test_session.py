@@ -14,6 +14,7 @@ import yaml
 
 from embodied_active_learning import __version__
 from embodied_active_learning.config import Config, merge
+from embodied_active_learning.config_versions import CONFIG_VERSION
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.session import disk
@@ -189,7 +190,10 @@ def test_yaml_with_code_is_rejected_unexecuted(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 5}, "version is 5, but this package reads versions up to 4; install the newer version"),
+        (
+            {"version": CONFIG_VERSION + 1},
+            rf"version is {CONFIG_VERSION + 1}, but this package reads versions up to {CONFIG_VERSION}; install",
+        ),
         ({}, "sha256 is missing, so the end of the file was lost"),
         ({"format": None}, "format is None: expected"),
         ({"config": {"camera": {"width": -3}}}, "camera/width is -3"),

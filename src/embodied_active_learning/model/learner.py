@@ -150,7 +150,7 @@ class Learner:
             beta=beta,
             gamma=gamma,
             coverage=self.schedule.coverage,
-            active_units=active_units(terms.latent_means, self._config.training.active_unit_threshold),
+            active_units=active_units(terms.latent_means),
             log_std_min=self.schedule.log_std_min,
             log_std_max=self.schedule.log_std_max,
         )
@@ -187,8 +187,7 @@ class Learner:
         random = np.random.default_rng(np.random.SeedSequence([self._seed, STATES_STREAM]))
         with torch.no_grad():
             log_std = self._log_std_over(self._workspace_states(random), count)
-            threshold = self._config.training.active_unit_threshold
-            units, errors = evaluate_model(self.network, self._inference, subset, threshold)
+            units, errors = evaluate_model(self.network, self._inference, subset)
         return Evaluation(
             update=self.updates,
             observations=count,

@@ -12,6 +12,9 @@ from embodied_active_learning.model.inference import Inference
 from embodied_active_learning.model.loss import Batch
 from embodied_active_learning.model.verdict import ReconstructionErrors
 
+ACTIVE_VARIANCE = 0.01
+"""Variance of a latent's mean above which the unit is active, as usual in the literature (Burda et al., 2016)."""
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -35,12 +38,12 @@ class Evaluation:
         return ReconstructionErrors(self.mse_own, self.mse_shuffled, self.mse_none)
 
 
-def active_units(latent_means: torch.Tensor, threshold: float) -> int:
-    """Return the number of latents whose mean has an unbiased variance above the threshold. Paper, Eq. 31.
+def active_units(latent_means: torch.Tensor) -> int:
+    """Return the number of latents whose mean has an unbiased variance above ACTIVE_VARIANCE. Paper, Eq. 31.
 
     latent_means: (B, L).
     """
-    return int((latent_means.var(dim=0, unbiased=True) > threshold).sum())
+    return int((latent_means.var(dim=0, unbiased=True) > ACTIVE_VARIANCE).sum())
 
 
 def reconstruction_error(network: ConditionalVAE, inference: Inference, latents: torch.Tensor, subset: Batch) -> float:
@@ -57,10 +60,8 @@ def reconstruction_errors(
     return ReconstructionErrors(*(reconstruction_error(network, inference, used, subset) for used in alternatives))
 
 
-def evaluate_model(
-    network: ConditionalVAE, inference: Inference, subset: Batch, threshold: float
-) -> Tuple[int, ReconstructionErrors]:
+def evaluate_model(network: ConditionalVAE, inference: Inference, subset: Batch) -> Tuple[int, ReconstructionErrors]:
     """Return the active units and the reconstruction errors of an Evaluation."""
     features = inference.encode(network, subset.images)
     latents = network.encode_features(subset.states, features, inference.linear).mean
-    return active_units(latents, threshold), reconstruction_errors(network, inference, latents, subset)
+    return active_units(latents), reconstruction_errors(network, inference, latents, subset)
