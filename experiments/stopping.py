@@ -92,7 +92,7 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
             steps, rules = config.exploration.steps, []
         else:
             rules = [f"after {fixed}" for fixed in SHOWN if steps - CHECK_EVERY < fixed <= steps]
-        if update == config.updates_planned:
+        if update == config.update_plan.total:
             rules = [f"after {steps}"]
         check = criterion.add(measure(config, model, evaluation, float(training["coverage"][update - 1]), stored))
         if check.stopped and not any(row["rule"] == "stable" for row in rows["objects"]):
@@ -122,7 +122,7 @@ def store_fingerprints(session: Session, steps: int, root: Path) -> None:
     if has_fingerprints(root / name):
         return
     shutil.rmtree(root / name, ignore_errors=True)
-    updates = session.config.updates_planned
+    updates = session.config.update_plan.total
     if steps < session.config.exploration.steps:
         updates = training.updates_per_observation * (steps - training.first_update_at)
     values = session.config.to_dict()

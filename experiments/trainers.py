@@ -193,7 +193,7 @@ def measure_kills(seed: int, limit: int) -> Dict[str, Any]:
                 len(store) == steps and np.array_equal(store.images, images) and np.allclose(store.raw_states, states)
             )
             lost = 0 if kept else steps - len(store)
-        planned = config.updates_planned
+        planned = config.update_plan.total
         return {
             "seed": seed,
             "kills": faults.kills,

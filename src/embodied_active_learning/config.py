@@ -27,6 +27,7 @@ from embodied_active_learning.hardware_config import (
 )
 from embodied_active_learning.registry import EXPLORERS, MEASURES
 from embodied_active_learning.schema import build, check_keys, setting, suggestion, to_plain
+from embodied_active_learning.update_plan import UpdatePlan
 from embodied_active_learning.workspace import STATE_NAMES
 
 __all__ = [
@@ -326,45 +327,16 @@ class Config:
         return replace(self, exploration=replace(self.exploration, steps=steps))
 
     @property
-    def updates_planned(self) -> int:
-        """Number of model updates of the whole run."""
-        return self.training.updates_per_observation * self.exploration.steps
-
-    def observations_needed(self, update: int) -> int:
-        """Return the number of observations that the batches of an update (from 0) are drawn from.
-
-        It depends on the update alone, so that training does not depend on the speed of planner and trainer.
-        """
-        training, steps = self.training, self.exploration.steps
-        ratio = training.updates_per_observation
-        proportional = ratio * (steps - training.first_update_at)
-        return steps if update >= proportional else training.first_update_at + update // ratio
-
-    @property
-    def updates_per_refresh(self) -> int:
-        """Updates between two models that the planner may query: those of an observation, or of a round of trainers."""
+    def update_plan(self) -> UpdatePlan:
+        """When the updates of the model are due."""
         training = self.training
         several = training.trainers > 1 and training.updates_per_observation > 0
-        return training.trainers * training.updates_per_round if several else training.updates_per_observation
-
-    def updates_due(self, observations: int) -> int:
-        """Return the number of model updates due after a number of observations; all when exploration is complete.
-
-        Before, only whole rounds are due.
-        """
-        training = self.training
-        if observations >= self.exploration.steps:
-            return self.updates_planned
-        due = training.updates_per_observation * max(0, observations + 1 - training.first_update_at)
-        return due - due % max(1, self.updates_per_refresh)
-
-    def updates_awaited(self, observations: int) -> int:
-        """Return the updates that the planner waits for after a number of observations, before training/max_lag.
-
-        The newest updates that are due run while the arm moves; at the end all are awaited.
-        """
-        due = self.updates_due(observations)
-        return due if observations >= self.exploration.steps else max(0, due - self.updates_per_refresh)
+        return UpdatePlan(
+            steps=self.exploration.steps,
+            first_update_at=training.first_update_at,
+            per_observation=training.updates_per_observation,
+            per_refresh=training.trainers * training.updates_per_round if several else training.updates_per_observation,
+        )
 
     @classmethod
     def from_dict(cls, values: Dict[str, Any], subject: Any = "") -> Config:

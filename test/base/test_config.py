@@ -113,7 +113,7 @@ def test_merge_does_not_modify_arguments():
     [(0, 0), (63, 0), (64, 3), (65, 6), (1063, 3000), (2999, 8808), (3000, 9000), (3001, 9000)],
 )
 def test_three_updates_are_due_per_observation_from_the_64th(observations, updates):
-    assert Config().updates_due(observations) == updates
+    assert Config().update_plan.due(observations) == updates
 
 
 @given(
@@ -125,15 +125,17 @@ def test_three_updates_are_due_per_observation_from_the_64th(observations, updat
 def test_update_is_due_once_its_observations_are_stored(steps, first, ratio, observations):
     training = {"batch_size": 8, "first_update_at": first, "updates_per_observation": ratio}
     config = Config.from_dict({"exploration": {"steps": steps}, "training": training})
-    due = sum(config.observations_needed(update) <= observations for update in range(config.updates_planned))
-    assert config.updates_due(observations) == due
+    due = sum(
+        config.update_plan.observations_needed(update) <= observations for update in range(config.update_plan.total)
+    )
+    assert config.update_plan.due(observations) == due
 
 
 @given(observations=st.integers(1, 2999))
 def test_planner_awaits_updates_of_previous_observations(observations):
     config = Config()
-    assert config.updates_awaited(observations) == config.updates_due(observations - 1)
-    assert config.updates_awaited(3000) == 9000
+    assert config.update_plan.awaited(observations) == config.update_plan.due(observations - 1)
+    assert config.update_plan.awaited(3000) == 9000
 
 
 def test_every_setting_has_a_meaning():
@@ -183,8 +185,8 @@ def test_rounds_of_several_trainers_are_due_as_a_whole(trainers, updates, ratio,
     training.update(batch_size=8, first_update_at=8)
     config = Config.from_dict({"training": training, "exploration": {"steps": steps}})
     count = data.draw(st.integers(0, steps - 1))
-    due, awaited = config.updates_due(count), config.updates_awaited(count)
+    due, awaited = config.update_plan.due(count), config.update_plan.awaited(count)
     assert due % (trainers * updates) == 0
     assert awaited == max(0, due - trainers * updates)
-    assert due == 0 or config.observations_needed(due - 1) <= count
-    assert config.updates_awaited(steps) == config.updates_due(steps) == ratio * steps
+    assert due == 0 or config.update_plan.observations_needed(due - 1) <= count
+    assert config.update_plan.awaited(steps) == config.update_plan.due(steps) == ratio * steps

@@ -226,7 +226,7 @@ def test_run_of_two_trainers_ends_once_objects_are_stable(tmp_path, monkeypatch)
         with training(run) as output, workers(run, 1):
             while run.observations < run.config.exploration.steps:
                 hand_over(run, [run.observations])
-                awaited = run.config.updates_awaited(run.observations)
+                awaited = run.config.update_plan.awaited(run.observations)
                 assert run.log_std(np.zeros((1, 3)), awaited, TIMEOUT)[2]
             assert output.finished.wait(TIMEOUT)
         assert run.updates == 3 * run.observations

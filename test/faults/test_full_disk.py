@@ -175,10 +175,10 @@ def test_training_resumes_after_full_disk(small_disk):
 
     small_disk.free()
     resumed = replace(config, session=replace(config.session, resume=True))
-    assert train(resumed) == config.updates_planned
+    assert train(resumed) == config.update_plan.total
     with Session.open_read_only(small_disk.folder / NAME).open_observations() as store:
         assert len(store) == 12
-    assert contents_of_table(small_disk, "training") == list(range(1, config.updates_planned + 1))
+    assert contents_of_table(small_disk, "training") == list(range(1, config.update_plan.total + 1))
 
 
 def train(config, on_update=lambda report: None):

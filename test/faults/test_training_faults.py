@@ -45,7 +45,7 @@ def learn(run, last):
     answers = {}
     for index in range(last):
         run.observe(*observation(index))
-        awaited = configured("").updates_awaited(index + 1)
+        awaited = configured("").update_plan.awaited(index + 1)
         values, updates, ready = run.log_std(np.linspace(-0.1, 0.1, 12).reshape(4, 3), awaited, TIMEOUT)
         assert ready
         if awaited:
@@ -227,7 +227,7 @@ def trained(run, stop_at=None):
 def test_resumed_trainer_answers_with_the_requested_model(tmp_path, behind):
     count, states = 12, np.linspace(-0.1, 0.1, 12).reshape(4, 3)
     config = configured("")
-    awaited = config.updates_awaited(count)
+    awaited = config.update_plan.awaited(count)
 
     def begun(name, **session):
         run = TrainingRun(configured(tmp_path / name, **session))
@@ -238,7 +238,7 @@ def test_resumed_trainer_answers_with_the_requested_model(tmp_path, behind):
     whole = begun("whole")
     with trained(whole):
         expected = whole.log_std(states, awaited)
-    with trained(begun("stopped"), stop_at=config.updates_due(count) - behind):
+    with trained(begun("stopped"), stop_at=config.update_plan.due(count) - behind):
         pass
     again = begun("stopped", resume=True)
     with trained(again):
@@ -253,7 +253,7 @@ def finish_from(run, last):
     with training(run) as (_, finished, _):
         for index in range(last - 1, STEPS):
             run.observe(*observation(index))
-            awaited = configured("").updates_awaited(index + 1)
+            awaited = configured("").update_plan.awaited(index + 1)
             values, updates, ready = run.log_std(np.linspace(-0.1, 0.1, 12).reshape(4, 3), awaited, TIMEOUT)
             assert ready
             assert updates == awaited

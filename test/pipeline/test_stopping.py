@@ -44,7 +44,7 @@ def finish(run, planned=STEPS):
     with training(run) as (_, finished, errors):
         while run.observations < run.config.exploration.steps:
             hand_over(run, [run.observations])
-            awaited = run.config.updates_awaited(run.observations)
+            awaited = run.config.update_plan.awaited(run.observations)
             assert run.log_std(np.zeros((1, 3)), awaited, TIMEOUT)[2]
         assert finished.wait(TIMEOUT)
         assert not errors

@@ -335,7 +335,7 @@ def write_finished_summary(config):
             for step in range(1, config.exploration.steps + 1):
                 table.append({"step": step})
         with session.open_table("training") as table:
-            table.append({"update": config.updates_planned})
+            table.append({"update": config.update_plan.total})
         conclude_launch(session, finished=True, wall_time=3.5)
     return session.paths.summary
 

@@ -127,7 +127,7 @@ class Learner:
     def update(self, trainers: int = 1) -> UpdateReport:
         """Take one step of Adam on two fresh batches. Paper, Alg. 1, lines 12 to 14.
 
-        Uses only the observations that this update is entitled to (Config.observations_needed), even if more are
+        Uses only the observations that this update is entitled to (UpdatePlan.observations_needed), even if more are
         stored, so that the result depends on the sequence of observations alone.
 
         Args:
@@ -348,7 +348,7 @@ class Learner:
 
     def _count(self, update: int) -> int:
         """Number of observations, from the first on, that update number `update` (from 0) uses."""
-        return min(len(self._observations), self._config.observations_needed(update))
+        return min(len(self._observations), self._config.update_plan.observations_needed(update))
 
     def _schedule_due(self, trainers: int) -> bool:
         """Whether the schedule is evaluated before the next updates of all trainers.

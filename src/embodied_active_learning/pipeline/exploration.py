@@ -75,13 +75,13 @@ def await_log_std(
     Returns:
         Log standard deviation (S,), or None before anything is learned.
     """
-    awaited = config().updates_awaited(observations)
+    awaited = config().update_plan.awaited(observations)
     if awaited == 0:
         return None  # even if training is ahead, so that runs are reproducible
     while True:
         log_std, ready = query(max(0, awaited - config().training.max_lag))
         # After an early stop, more updates are awaited.
-        before, awaited = awaited, config().updates_awaited(observations)
+        before, awaited = awaited, config().update_plan.awaited(observations)
         if ready and awaited == before:
             return log_std
 

@@ -209,7 +209,7 @@ def _progress(training: BackgroundTraining, ergodic_measure: float) -> Progress:
         step=training.run.observations,
         steps=config.exploration.steps,
         updates=training.run.updates,
-        updates_planned=config.updates_planned,
+        updates_planned=config.update_plan.total,
         loss=float("nan") if report is None else report.loss,
         active_units=float("nan") if report is None else report.active_units,
         latent_size=config.model.latent_size,

@@ -55,7 +55,7 @@ class EarlyStop:
         if check.stopped:
             training = self._config.training
             # A planner in lock-step receives this model, and with it the decision, after that many observations.
-            awaited = evaluation.update + self._config.updates_per_refresh
+            awaited = evaluation.update + self._config.update_plan.per_refresh
             awaiting = training.first_update_at - 1 + math.ceil(awaited / training.updates_per_observation)
             self.steps = min(self._config.exploration.steps, max(awaiting, len(stored.stamps)))
         self.newest = check

@@ -112,7 +112,7 @@ class TrainingRun:
     @property
     def updates_due(self) -> int:
         """Number of updates that the stored observations call for."""
-        return self._config.updates_due(self.observations)
+        return self._config.update_plan.due(self.observations)
 
     @property
     def finished(self) -> bool:
@@ -284,8 +284,8 @@ class TrainingRun:
 
     def _make_round(self, pool: WorkerPool, on_update: Callable[[UpdateReport], None]) -> None:
         """Make updates together with the workers until the round ends, a worker fails or stop() is called."""
-        first, size = self.updates, self._config.updates_per_refresh
-        end = min(first - first % size + size, self._config.updates_planned)
+        first, size = self.updates, self._config.update_plan.per_refresh
+        end = min(first - first % size + size, self._config.update_plan.total)
         made = pool.make_round(
             self._learner, end, self._stop, lambda trainers: self._make_update(on_update, end, trainers)
         )
@@ -297,7 +297,7 @@ class TrainingRun:
     def _after_updates(self, before: int) -> None:
         """Evaluate, refresh a replica and write a checkpoint if that became due after update number `before`."""
         stopped = self._evaluate(before)
-        if self._passed(self._config.updates_per_refresh, before):
+        if self._passed(self._config.update_plan.per_refresh, before):
             self._learner.refresh_async(self._wake)
             self._refreshed = self.updates
         if self._passed(self._config.training.checkpoint_every, before) or stopped:
@@ -314,7 +314,7 @@ class TrainingRun:
         """
         early_stop = self._early_stop
         to_check = early_stop is not None and early_stop.steps is None and self._passed(early_stop.period, before)
-        every, planned = self._config.training.evaluate_every, self._config.updates_planned
+        every, planned = self._config.training.evaluate_every, self._config.update_plan.total
         to_record = self._passed(every, before) or self.updates == planned
         if not to_check and not to_record:
             return False

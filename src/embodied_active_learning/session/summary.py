@@ -43,7 +43,7 @@ def reopen_summary(path: Path, config: Config) -> None:
         remove_file(path)
     elif config.may_stop_early and previous.ended:
         return
-    elif previous.steps < config.exploration.steps or previous.updates < config.updates_planned:
+    elif previous.steps < config.exploration.steps or previous.updates < config.update_plan.total:
         write_summary(path, replace(previous, finished=False))
 
 

@@ -68,13 +68,13 @@ class Job:
         config = self.run.config()
         steps = updates = 0
         if self.complete:
-            steps, updates = config.exploration.steps, config.updates_planned
+            steps, updates = config.exploration.steps, config.update_plan.total
         elif self.started:
             session = Session.open_read_only(self.session)
             steps = len(session.read_table("exploration")["step"])
             made = session.read_table("training")["update"]
             updates = int(made[-1]) if len(made) else 0
-        return Progress(steps, config.exploration.steps, updates, config.updates_planned)
+        return Progress(steps, config.exploration.steps, updates, config.update_plan.total)
 
     def bytes_needed(self) -> int:
         """Return the bytes that the rest of the run stores."""

@@ -67,7 +67,7 @@ class TrainerStatus:
                 observations=self._run.observations,
                 updates=self._run.updates,
                 updates_due=self._run.updates_due,
-                updates_planned=config.updates_planned,
+                updates_planned=config.update_plan.total,
                 steps=config.exploration.steps,
                 stopping="" if check is None else check.describe(),
                 updates_per_second=self._updates.per_second,
