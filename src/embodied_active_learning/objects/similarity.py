@@ -142,7 +142,7 @@ def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: T
     luminance = change[..., 0]
     x, y = (points.positions / GRADIENT_UNIT).T
     seen: np.ndarray = valid.astype(np.float32)
-    gain = masked_median(luminance, valid, 1, 0.0).astype(np.float32)
+    gain: np.ndarray = masked_median(luminance, valid, 1, 0.0).astype(np.float32)
     gradient: np.ndarray = np.zeros((len(gain), 2), np.float32)
     weight = seen
     for _ in range(2):

@@ -10,7 +10,7 @@ import os
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Collection, Iterator, Optional, Tuple
+from typing import Any, Collection, Dict, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -219,7 +219,8 @@ def _read_fingerprint(session_path: Path, path: Path) -> Fingerprint:
         _READER.expect(path, stored, {"name": path.parent.name})
         _check_names(path, arrays)
         calibration = _read_calibration(session_path, path.parent / CALIBRATION_FILE)
-        return Fingerprint(**to_plain(facts), **arrays, calibration=calibration)
+        fields: Dict[str, Any] = {**to_plain(facts), **arrays}
+        return Fingerprint(**fields, calibration=calibration)
 
 
 def _read_calibration(session_path: Path, path: Path) -> Optional[Calibration]:
