@@ -15,6 +15,6 @@ variants:
   no-gamma: {worlds: [diagonal], seeds: [1], overrides: {objective: {gamma_weight: 0.0}}}
 SPEC
 python3 -m embodied_active_learning.sweep "$folder/short.yaml" --root "$folder" --workers 2
-python3 -m embodied_active_learning.sweep.compare "$folder/results/short" --output "$folder"
+python3 -m embodied_active_learning.sweep.compare_sessions "$folder/results/short" --output "$folder"
 python3 experiments/pac_bayes.py "$folder/short/ergodic-diagonal-seed1" --views 10 --output "$folder/pac_bayes.csv"
 python3 experiments/coverage_benchmark.py --seeds 1 --lengths 50 --output "$folder/coverage.csv"

@@ -9,7 +9,7 @@ source ./setup.bash
 # Keep the user's ~/.ros untouched.
 ROS_HOME="$(mktemp -d)"
 export ROS_HOME
-trap 'jobs -p | xargs -rI{} kill -- -{}; rm -rf "$ROS_HOME"' EXIT
+trap '{ jobs -p | xargs -rI{} kill -- -{}; } 2> /dev/null || true; rm -rf "$ROS_HOME"' EXIT
 rm -f build/tests-*.xml
 # Each process of pytest computes on one core.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
@@ -32,6 +32,7 @@ if [ "$which" = all ]; then
     echo "running the tests without nodes at the same time, at low priority: see $log"
     (renice -n 10 "$BASHPID" > /dev/null && run_tests unit -m "not ros" -n auto "$@") > "$log" 2>&1 &
     run_tests nodes -m ros -n 2 "$@" || status=$?
+    if [ "$status" = 2 ]; then exit 2; fi  # interrupted by the user
     wait $! || status=$?
     cat "$log"
 else

@@ -257,7 +257,7 @@ class IdentificationConfig:
         0.95, "share of the workspace that must be seen before an object is reported as absent", "", 0.0, 1.0
     )
     stop_when_decided: bool = setting(
-        True, "process no more images once every fingerprint is decided (decision verified only)"
+        True, "process no more images once they would change no decision (decision verified only)"
     )
     visit: bool = setting(False, "at the end, drive to every found, undecided and unknown object and take a picture")
 
@@ -301,7 +301,7 @@ class Config:
             ),
             (
                 self.exploration.step_duration > self.arm.max_duration,
-                "exploration/step_duration is longer than arm/max_duration: the arm would refuse every command",
+                "exploration/step_duration is longer than arm/max_duration: the arm would reject every command",
             ),
             (
                 training.batch_size > training.first_update_at,

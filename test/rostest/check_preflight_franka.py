@@ -50,9 +50,9 @@ class PreflightFrankaTest(unittest.TestCase):
 
     def test_hanging_controller_manager_is_an_error(self):
         hang = rospy.ServiceProxy("fake_franka/hang_controller_manager", SetBool)
+        self.addCleanup(hang, False)
         hang(True)
         run = PreflightRun()
-        hang(False)
         self.assertEqual(run.levels["controllers"], "ERROR", run.output)
         self.assertIn("no response from /controller_manager/list_controllers: none within", run.output)
 

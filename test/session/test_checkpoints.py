@@ -92,7 +92,7 @@ def test_only_damaged_checkpoints_are_an_error(tmp_path):
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_non_finite_tensor_does_not_replace_checkpoint(tmp_path, value):
     save_checkpoint(tmp_path, 1, tensors(), {}, keep=1)
-    with pytest.raises(SessionError, match="tensor weight has values that are not finite"):
+    with pytest.raises(SessionError, match="array weight has values that are not finite"):
         save_checkpoint(tmp_path, 2, {"weight": torch.tensor([value])}, {}, keep=1)
     assert load_latest(tmp_path).updates == 1
 

@@ -222,7 +222,7 @@ def test_set_of_session_with_older_name_is_read(session):
 
 def test_non_finite_weights_keep_old_set(session):
     save_fingerprints(session, numbered(1))
-    with pytest.raises(SessionError, match=r"tensor w has values that are not finite"):
+    with pytest.raises(SessionError, match=r"array w has values that are not finite"):
         save_fingerprints(session, make_set(weights={"w": torch.tensor([float("nan")])}))
     assert number_of(load_fingerprints(session)) == 1
     assert names_in(session / "fingerprints") == [".lock", "000001"]

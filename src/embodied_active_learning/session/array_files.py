@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any, Dict, Mapping, Tuple, Type
+from typing import Any, Dict, Mapping, Tuple
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError, SessionError
+from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import FileReader, open_regular_file
 from embodied_active_learning.session.atomic import write_bytes
 
@@ -65,23 +65,29 @@ def read_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arr
 
 def write_finite_arrays(path: Path, kind: str, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> None:
     """Write arrays like write_arrays. Raises SessionError also for values that are not finite."""
-    _check_finite(arrays, SessionError, f"{path} was not written")
+    found = _not_finite(arrays)
+    if found:
+        raise SessionError(f"{path} was not written: array {found} has values that are not finite")
     write_arrays(path, kind, arrays, facts)
 
 
 def read_finite_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arrays, Dict[str, Any]]:
     """Read a file of write_finite_arrays like read_arrays. Raises reader.error also for values that are not finite."""
     arrays, facts = read_arrays(path, kind, reader)
-    _check_finite(arrays, reader.error, str(path))
+    found = _not_finite(arrays)
+    if found:
+        raise reader.make_error(f"{path}:", f"array {found} has values that are not finite")
     return arrays, facts
 
 
-def _check_finite(arrays: Mapping[str, np.ndarray], error: Type[EmbodiedActiveLearningError], subject: str) -> None:
+def _not_finite(arrays: Mapping[str, np.ndarray]) -> str:
+    """Return the name of the first array with values that are not finite; empty if there is none."""
     for name, array in arrays.items():
         with np.errstate(all="ignore"):
             total = array.sum()  # ten times faster to check than the array; it may overflow for finite values
         if not (np.isfinite(total) or np.isfinite(array).all()):
-            raise error(f"{subject}: tensor {name} has values that are not finite: use an earlier checkpoint")
+            return name
+    return ""
 
 
 def _read(path: Path, reader: FileReader) -> Tuple[Arrays, Dict[str, str]]:

@@ -24,7 +24,7 @@ def write_tensors(path: Path, kind: str, tensors: Tensors, facts: Mapping[str, A
 
 
 def read_tensors(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Tensors, Dict[str, Any]]:
-    """Read a file of write_tensors, like read_arrays. Values that are not finite are refused as well."""
+    """Read a file of write_tensors, like read_arrays. Values that are not finite are rejected as well."""
     arrays, facts = read_finite_arrays(path, kind, reader)
     for name, array in arrays.items():
         if array.dtype == np.uint64:  # not supported by the torch of Noetic

@@ -66,15 +66,19 @@ class ArmClient:
         """Extend this node's control of the arm; return whether the arm granted it. Raises CommandError."""
         return _call(self._heartbeat).success
 
-    def stop_if_commander(self) -> None:
+    def stop_if_commander(self, without_response: bool = False) -> None:
         """Stop the arm now if this node commands it. Raises CommandError if the arm does not confirm.
 
-        A stop by any other node would be an emergency stop, and an arm that has restarted has no commander. Without a
-        response to the heartbeat, as while this node shuts down, the stop is sent nevertheless.
+        A stop by any other node would be an emergency stop, and an arm that has restarted has no commander.
+
+        Args:
+            without_response: Also send the stop if the heartbeat gets no response, as while this node shuts down.
         """
         try:
             is_commander = self.heartbeat()
         except CommandError:
+            if not without_response:
+                raise
             is_commander = True
         if is_commander:
             self.stop()

@@ -300,7 +300,7 @@ class RetryingArm:
         try:
             with self._arm_lock:
                 if self.in_control:
-                    self._arm.stop_if_commander()
+                    self._arm.stop_if_commander(without_response=True)
                 self._lease.end()
                 self._restore_point.release()
             outcome.set_result(None)

@@ -58,7 +58,7 @@ class ImageSearch:
         )
 
     def search(self, run: IdentificationRun, progress: TaskProgress) -> List[Decision]:
-        """Process images until everything is decided or all are processed; store and publish the decisions."""
+        """Process images until they change no decision or all are processed; store and publish the decisions."""
         self._process_images(run, progress)
         progress.report("deciding")
         rospy.loginfo("%d of at most %d images processed; deciding", run.processed, run.images)

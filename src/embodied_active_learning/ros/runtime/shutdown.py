@@ -9,8 +9,7 @@ import signal
 import sys
 import threading
 import time
-from types import FrameType
-from typing import List, Optional
+from queue import SimpleQueue
 
 import rospy
 
@@ -18,7 +17,8 @@ TIMEOUT = 4.0
 """Wall seconds after a signal until the process is ended. All files are written atomically, so this damages none."""
 _KERNEL_TIMEOUT = TIMEOUT + 0.5
 """Wall seconds after which the kernel ends a process whose interpreter is blocked."""
-_shutdown_threads: List[threading.Thread] = []  # one for each signal
+_shutdown_reason: SimpleQueue[str] = SimpleQueue()
+_shutdown_thread = threading.Thread(target=lambda: rospy.signal_shutdown(_shutdown_reason.get()), daemon=True)
 
 
 class ExitCode(enum.IntEnum):
@@ -65,16 +65,11 @@ def install_signal_handlers() -> None:
     """Shut rospy down in a thread of its own on SIGINT or SIGTERM; to be called in the main thread.
 
     rospy's handlers call the master in the interrupted main thread, which waits for ever if that thread was calling the
-    master itself: all calls share a lock that is not reentrant.
+    master itself: all calls share a lock that is not reentrant. So the handler takes no lock: put() is reentrant.
     """
+    _shutdown_thread.start()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _shut_down)
-
-
-def _shut_down(number: int, _frame: Optional[FrameType]) -> None:
-    thread = threading.Thread(target=rospy.signal_shutdown, args=(f"signal-{number}",))
-    _shutdown_threads.append(thread)
-    thread.start()
+        signal.signal(number, lambda number, _frame: _shutdown_reason.put(f"signal-{number}"))
 
 
 def exit_process(code: ExitCode) -> None:
@@ -82,8 +77,9 @@ def exit_process(code: ExitCode) -> None:
 
     Finalising takes seconds with large libraries and can crash threads that still run inside one.
     """
-    for thread in _shutdown_threads:
-        thread.join()
+    if _shutdown_thread.is_alive():  # else: shut down already, or rospy was not started
+        _shutdown_reason.put("finished")
+        _shutdown_thread.join()
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
