@@ -1,6 +1,7 @@
 """Documentation matches the package: links, examples, arguments, interfaces and commands."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -96,6 +97,14 @@ def test_named_modules_exist():
     for page, text in ALL.items():
         paths = re.findall(r"`((?:[\w]+/)+\w+\.(?:py|c))`", text)
         assert [path for path in paths if not (library / path).exists() and not (ROOT / path).exists()] == [], page
+
+
+def test_commands_start_existing_modules():
+    scripts = [path for folder in ("tools", "experiments", "examples") for path in (ROOT / folder).glob("*.*")]
+    texts = [*ALL.values(), *(path.read_text(encoding="utf-8") for path in scripts)]
+    modules = {name for text in texts for name in re.findall(r"-m (embodied_active_learning[\w.]*\w)", text)}
+    assert [name for name in sorted(modules) if find_spec(name) is None] == []
+    assert "embodied_active_learning.sweep" in modules
 
 
 def test_named_public_functions_exist():
