@@ -314,13 +314,9 @@ class RetryingArm:
         except EmbodiedActiveLearningError:
             self._error = ""
             raise
-        self._report(due.message)
-        wall_sleep(due.pause)
-
-    def _report(self, error: str) -> None:
-        """Log why the arm is held still, throttled."""
         if not self._error:
             self._throttle.reset()
-        if self._throttle.should_log(error):
-            rospy.logwarn("arm held still: %s", error)
-        self._error = error
+        self._error = due.message
+        wall_sleep(due.pause)  # before the log: when all nodes are ended, the arm often ends first
+        if self._throttle.should_log(due.message):
+            rospy.logwarn("arm held still: %s", due.message)
