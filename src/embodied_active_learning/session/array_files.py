@@ -81,7 +81,7 @@ def read_finite_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tu
 
 
 def _not_finite(arrays: Mapping[str, np.ndarray]) -> str:
-    """Return the name of the first array with values that are not finite; empty if there is none."""
+    """Return the name of the first array with values that are not finite; empty if all are."""
     for name, array in arrays.items():
         with np.errstate(all="ignore"):
             total = array.sum()  # ten times faster to check than the array; it may overflow for finite values

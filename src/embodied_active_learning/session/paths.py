@@ -29,7 +29,7 @@ def stays_inside(folder: Path, path: Path) -> Path:
 
 
 def check_not_link(path: Path) -> None:
-    """Raise SessionError if the folder of a session that is to be created or resumed is a symbolic link."""
+    """Raise SessionError if the folder of a session that will be created or resumed is a symbolic link."""
     if path.is_symlink():
         raise SessionError(
             f"{path} is a symbolic link, and a session must be a folder: link session/root instead, or choose another "
