@@ -11,6 +11,9 @@ ROS_HOME="$(mktemp -d)"
 export ROS_HOME
 trap '{ jobs -p | xargs -rI{} kill -- -{}; } 2> /dev/null || true; rm -rf "$ROS_HOME"' EXIT
 rm -f build/tests-*.xml
+# A master that runs already would be seen by tests of launch files.
+ROS_MASTER_URI="http://localhost:$(python3 tools/free_port.py 11311)"
+export ROS_MASTER_URI
 # Each process of pytest computes on one core.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 which="$1"
