@@ -1,7 +1,7 @@
 # make         install missing packages, build
 # make demo    learn, fingerprint and identify in PyBullet, headless, with the demo profile
 # make check   lint and unit tests in parallel, without a ROS master: three to six minutes on two cores
-# make test    make check, beside it the tests with nodes
+# make test    lint, then unit tests beside the tests with nodes
 # make docs    generated files of docs/ and config/, and API pages in build/docs
 # make figures figures and tables of docs/results.md from experiments/results, in about a minute
 # make paper   all missing runs and measurements of docs/results.md, then the figures; hours, can be interrupted

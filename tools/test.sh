@@ -30,12 +30,12 @@ run_tests() {
 
 status=0
 if [ "$which" = all ]; then
-    # Each launch has its own master. Its nodes wait for half of the time, which the other tests use.
+    # Each launch has its own master. Its nodes wait for much of the time, which the other tests use.
     log=build/tests-unit.log
     echo "running the tests without nodes at the same time, at low priority: see $log"
     (renice -n 10 "$BASHPID" > /dev/null && run_tests unit -m "not ros" -n auto "$@") > "$log" 2>&1 &
     run_tests nodes -m ros -n 2 "$@" || status=$?
-    if [ "$status" = 2 ]; then exit 2; fi  # interrupted by the user
+    if [ "$status" = 2 ]; then exit 2; fi  # interrupted, or tests that cannot be imported
     wait $! || status=$?
     cat "$log"
 else

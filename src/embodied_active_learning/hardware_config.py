@@ -62,6 +62,11 @@ REAL_ROBOTS = tuple(robot.name for robot in ARMS.values() if robot.profile)
 ROBOTS = (*ARMS, RECORDED)
 
 
+def arm_of(name: str) -> Robot:
+    """Return the robot with a name from ROBOTS; for recorded images the simulated one, which needs no hardware."""
+    return ARMS.get(name, ARMS[SIMULATED])
+
+
 @dataclass(frozen=True)
 class WorkspaceConfig:
     """Limits of the camera's planar pose in the base frame."""

@@ -19,7 +19,7 @@ TICKETS, CONFIG = "tickets", "config"
 
 
 class Header(NamedTuple):
-    """A header; as a tensor float64 of one number per field, which holds whole numbers up to 2^53."""
+    """A header; as a float64 tensor with one number per field, which holds whole numbers up to 2^53."""
 
     kind: int
     observations: int = 0  # in the message

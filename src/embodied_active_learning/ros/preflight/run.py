@@ -15,14 +15,13 @@ from embodied_active_learning.config import (
     FRANKA,
     REAL_ROBOTS,
     RECORDED,
-    SIMULATED,
     Config,
     find_profile,
     load_profile,
     merge,
 )
 from embodied_active_learning.errors import CommandError
-from embodied_active_learning.hardware_config import ARMS
+from embodied_active_learning.hardware_config import arm_of
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.config_check import require_matching_config
 from embodied_active_learning.ros.preflight import computer
@@ -149,7 +148,7 @@ def check_match(config: Config, values: Any) -> CheckResult:
 
 def check_computer(report: Report, config: Config) -> None:
     """Run the checks that need no master."""
-    required = {**_COMMON_PACKAGES, **ARMS.get(config.arm.robot, ARMS[SIMULATED]).packages}
+    required = {**_COMMON_PACKAGES, **arm_of(config.arm.robot).packages}
     missing = [name for name in required if importlib.util.find_spec(name) is None]
     device, cores = config.training.device, len(os.sched_getaffinity(0))
     path_python = shutil.which("python3") or ""

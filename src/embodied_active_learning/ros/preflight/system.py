@@ -11,9 +11,9 @@ import rospy
 import tf2_ros
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from embodied_active_learning.config import FRANKA, REAL_ROBOTS, SIMULATED, Config
+from embodied_active_learning.config import FRANKA, REAL_ROBOTS, Config
 from embodied_active_learning.errors import ObservationError, RobotError
-from embodied_active_learning.hardware_config import ARMS
+from embodied_active_learning.hardware_config import ARMS, arm_of
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.camera.image_buffer import FUTURE_TOLERANCE
@@ -56,7 +56,7 @@ class System:
         """Observe topics and tf for `seconds` of wall time; less for a simulated arm, which may rest."""
         self._config = config
         self._real = config.arm.robot in REAL_ROBOTS
-        self._start = ARMS.get(config.arm.robot, ARMS[SIMULATED]).start
+        self._start = arm_of(config.arm.robot).start
         self._graph = read_graph()
         self._topics = {key: TopicMonitor(*topic, self._graph) for key, topic in self._topic_types().items()}
         self._tf = TfMonitor()
