@@ -27,11 +27,11 @@ typedef struct {
 #ifdef __AVX512F__
 #define TILE_COLUMNS 4
 #define IMAGE_TILE_COLUMNS 8 /* if there are only the three channels of an image */
-#define GRADIENT_CHANNELS 5
+#define GRADIENT_SUMS 25
 #else
 #define TILE_COLUMNS 2
-#define IMAGE_TILE_COLUMNS 4
-#define GRADIENT_CHANNELS 2
+#define IMAGE_TILE_COLUMNS 3
+#define GRADIENT_SUMS 12
 #endif
 #define MAX_CHANNELS 5
 #define MAX_COLUMNS 8
@@ -43,8 +43,25 @@ INLINE void start_tile(tile sum, const epilogue *e, int o, int n, int p) {
         sum[i][j] = (vec){0} + (e->bias ? e->bias[o + j] : 0.0f);
 }
 
-/* sum[i][j] += value[i * step] * weight[j] */
+/* sum[i][j] += value[i * step] * weight[j]
+ *
+ * AVX-512 multiplies by a weight in memory. Otherwise weights need registers, of which the sums leave few: the smaller
+ * of both sets of factors is held there, and the others follow one by one. */
 INLINE void add_products(tile sum, const vec *value, int step, const float *weight, int n, int p) {
+#ifndef __AVX512F__
+    if (p < n) {
+        vec held[MAX_COLUMNS];
+        UNROLL for (int i = 0; i < p; i++) {
+            LOAD(factor, value[i * step]);
+            held[i] = factor;
+        }
+        UNROLL for (int j = 0; j < n; j++) {
+            LOAD_BROADCAST(factor, weight[j]);
+            UNROLL for (int i = 0; i < p; i++) sum[i][j] += held[i] * factor;
+        }
+        return;
+    }
+#endif
     UNROLL for (int i = 0; i < p; i++) {
         LOAD(factor, value[i * step]);
         UNROLL for (int j = 0; j < n; j++) sum[i][j] += factor * weight[j];
@@ -150,14 +167,25 @@ INLINE void weight_gradient_tile(const feature_map *inner, const feature_map *ou
     for (int end = y + rows; y < end; y++) {
         const vec *left = row(inner, a, y) + x, *right = row(outer, b, y * s + ky) + x * s + kx;
         for (int count = columns; count > 0; count--, left++, right += s) {
-            vec value[MAX_CHANNELS];
-            UNROLL for (int i = 0; i < p; i++) {
-                LOAD(loaded, right[i]);
-                value[i] = loaded;
-            }
-            UNROLL for (int j = 0; j < n; j++) {
-                LOAD(factor, left[j * stride]);
-                UNROLL for (int i = 0; i < p; i++) sum[j][i] += factor * value[i];
+            vec held[MAX_CHANNELS];
+            if (n < p) {
+                UNROLL for (int j = 0; j < n; j++) {
+                    LOAD(factor, left[j * stride]);
+                    held[j] = factor;
+                }
+                UNROLL for (int i = 0; i < p; i++) {
+                    LOAD(factor, right[i]);
+                    UNROLL for (int j = 0; j < n; j++) sum[j][i] += held[j] * factor;
+                }
+            } else {
+                UNROLL for (int i = 0; i < p; i++) {
+                    LOAD(factor, right[i]);
+                    held[i] = factor;
+                }
+                UNROLL for (int j = 0; j < n; j++) {
+                    LOAD(factor, left[j * stride]);
+                    UNROLL for (int i = 0; i < p; i++) sum[j][i] += factor * held[i];
+                }
             }
         }
     }
@@ -178,17 +206,27 @@ INLINE void kernel_row_gradient(const feature_map *inner, const feature_map *out
         weight_gradient_tile(inner, outer, s, a, b, ky, kx, y, rows, x, columns, out + kx, step, n, 1);
 }
 
+/* Inner channels of a tile, of those left: as many as fit into the registers with all columns of a kernel row. */
+INLINE int gradient_channels(int left, int k) {
+    int columns = min(k, 5);
+    if (left >= 5 && 5 * columns <= GRADIENT_SUMS) return 5;
+    if (left >= 4 && 4 * columns <= GRADIENT_SUMS) return 4;
+    return left >= 2 ? 2 : 1;
+}
+
 INLINE void weight_gradient_rows_of(const feature_map *inner, const feature_map *outer, int k, int s, vec *sums,
                                     int from, int to) {
     for (int y = from; y < to; y += BLOCK_ROWS)
         for (int x = 0; x < inner->columns; x += BLOCK_COLUMNS) {
             int rows = min(to - y, BLOCK_ROWS), columns = min(inner->columns - x, BLOCK_COLUMNS);
             for (int a = 0, n; a < inner->channels; a += n) {
-                n = inner->channels - a >= GRADIENT_CHANNELS ? GRADIENT_CHANNELS : 1;
+                n = gradient_channels(inner->channels - a, k);
                 for (int b = 0; b < outer->channels; b++)
                     for (int ky = 0; ky < k; ky++) {
-                        if (n == 1) kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, 1);
-                        else kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, GRADIENT_CHANNELS);
+                        if (n == 5) kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, 5);
+                        else if (n == 4) kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, 4);
+                        else if (n == 2) kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, 2);
+                        else kernel_row_gradient(inner, outer, k, s, a, b, ky, y, rows, x, columns, sums, 1);
                     }
             }
         }

@@ -10,8 +10,8 @@
 #define PANEL_VECTORS 2
 #endif
 #define PANEL_COLUMNS (PANEL_VECTORS * LANES)
-#define PACKED_PANELS 2 /* panels of the right factor that are packed together */
-#define PACKED_DEPTH 512 /* rows of a packed panel: small enough for the second-level cache */
+#define PACKED_PANELS (8 / PANEL_VECTORS) /* panels of the right factor that are packed together */
+#define PACKED_DEPTH 512 /* rows of a packed panel: all panels together fit into the second-level cache */
 
 /* out (N, PANEL_COLUMNS) = left (N, depth) right (depth, PANEL_COLUMNS), added to out if `add`. */
 #define MULTIPLY_PANEL(N)                                                                                              \
@@ -37,8 +37,9 @@ int panel_columns(void) { return PANEL_COLUMNS; }
 /* out (rows, columns) = left (rows, depth) right (depth, columns).
  *
  * left[m * row_stride + d * column_stride]; rows of right and out are contiguous, right_stride and out_stride apart.
- * columns must be at least panel_columns(): the last panel ends at the last column and may overlap the previous one. Two
- * panels of the right factor are packed at once because longer pieces of its rows are read faster.
+ * columns must be at least panel_columns(): the last panel ends at the last column and may overlap the previous one.
+ * Several panels of the right factor are packed at once: longer pieces of its rows are read faster, and rows of the left
+ * factor, which come from memory, are used for all panels while they are in the first-level cache.
  */
 void matmul(const float *left, long row_stride, long column_stride, const float *right, long right_stride, float *out,
             long out_stride, int rows, int depth, int columns) {
@@ -56,17 +57,16 @@ void matmul(const float *left, long row_stride, long column_stride, const float 
                     UNROLL for (int j = 0; j < PANEL_VECTORS; j++)
                         packed[i][y * PANEL_VECTORS + j] = *(const unaligned_vec *)(source + j * LANES);
                 }
-            for (int i = 0; i < count; i++) {
-                const float *factor = left + d * column_stride;
-                float *target = out + first[i];
-                int m = 0;
-                for (; m + 6 <= rows; m += 6)
+            const float *factor = left + d * column_stride;
+            int m = 0;
+            for (; m + 6 <= rows; m += 6)
+                for (int i = 0; i < count; i++)
                     multiply_panel_6(factor + m * row_stride, row_stride, column_stride, packed[i],
-                                     target + m * out_stride, out_stride, packed_depth, d > 0);
-                for (; m < rows; m++)
+                                     out + m * out_stride + first[i], out_stride, packed_depth, d > 0);
+            for (; m < rows; m++)
+                for (int i = 0; i < count; i++)
                     multiply_panel_1(factor + m * row_stride, row_stride, column_stride, packed[i],
-                                     target + m * out_stride, out_stride, packed_depth, d > 0);
-            }
+                                     out + m * out_stride + first[i], out_stride, packed_depth, d > 0);
         }
     }
 }

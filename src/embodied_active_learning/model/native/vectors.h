@@ -26,13 +26,23 @@ typedef int32_t int_vec __attribute__((vector_size(4 * LANES)));
 #endif
 #define UNROLL _Pragma("GCC unroll 32")
 
-/* Keep a value in a register: GCC would otherwise load it from memory again for each product. */
-#ifdef __AVX512F__
+/* Load a vector, or a number into all lanes, into a register and keep it there: GCC would otherwise load it again for each
+ * product, or load the factors of later products early and run out of registers. */
+#if defined __AVX512F__
 #define LOAD(name, from)                                                                                               \
     vec name = from;                                                                                                   \
     __asm__("" : "+v"(name))
+#define LOAD_BROADCAST(name, from) LOAD(name, broadcast(from))
+#elif defined __AVX__
+#define LOAD(name, from)                                                                                               \
+    vec name;                                                                                                          \
+    __asm__("vmovaps %1, %0" : "=x"(name) : "m"(from))
+#define LOAD_BROADCAST(name, from)                                                                                     \
+    vec name;                                                                                                          \
+    __asm__("vbroadcastss %1, %0" : "=x"(name) : "m"(from))
 #else
 #define LOAD(name, from) vec name = from
+#define LOAD_BROADCAST(name, from) vec name = broadcast(from)
 #endif
 
 /* Activations or gradients (channels, rows, columns, LANES). Only the last stored_rows rows are in memory: row y at
@@ -47,6 +57,8 @@ INLINE long channel_stride(const feature_map *m) { return (long)m->stored_rows *
 INLINE vec *row(const feature_map *m, int channel, int y) {
     return m->values + ((long)channel * m->stored_rows + (y & m->row_mask)) * m->columns;
 }
+
+INLINE vec broadcast(float value) { return value - (vec){0}; } /* + would make 0 of -0, which costs an instruction */
 
 INLINE int min(int a, int b) { return a < b ? a : b; }
 
