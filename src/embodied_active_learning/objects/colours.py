@@ -63,7 +63,7 @@ def noise_level(image: np.ndarray) -> float:
 @lru_cache(maxsize=64)
 def _without_bias(noise: float) -> np.ndarray:
     """Value (256,) uint8 whose mean under this noise, cut off at 0 and 255, is 0, 1, ... 255."""
-    values = np.linspace(-3.0 * noise, 255.0 + 3.0 * noise, 4096)
+    values: np.ndarray = np.linspace(-3.0 * noise, 255.0 + 3.0 * noise, 4096)
     dark, bright = values / noise, (255.0 - values) / noise
     raised = noise * norm.pdf(dark) - values * norm.sf(dark)
     lowered = noise * norm.pdf(bright) - (255.0 - values) * norm.sf(bright)
