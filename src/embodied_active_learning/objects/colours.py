@@ -55,7 +55,7 @@ def blurred(image: np.ndarray, camera: CameraConfig) -> np.ndarray:
 
 def noise_level(image: np.ndarray) -> float:
     """Return the standard deviation of an image's noise, from the median of its finest details (Donoho, 1994)."""
-    values = image.astype(np.float32)
+    values: np.ndarray = image.astype(np.float32)
     details = values[:-1:2, :-1:2] - values[1::2, :-1:2] - values[:-1:2, 1::2] + values[1::2, 1::2]
     return float(np.median(np.abs(details))) / (2.0 * _MEDIAN_OF_NORMAL)
 
