@@ -3,7 +3,7 @@
 
     source setup.bash && python3 benchmarks/benchmark_run.py [--steps 3000]
 
-The paper's profile in lock-step. By default the time of 3000 steps is extrapolated from a short run; --steps 3000
+Default settings in lock-step. By default the time of 3000 steps is extrapolated from a short run; --steps 3000
 measures it.
 """
 
@@ -116,7 +116,7 @@ def measure(arguments: argparse.Namespace) -> List[Section]:
         target = "2000 MiB" if name == "trainer" else ""
         rows.append(Row(name, cpu=1e3 * used.cpu / arguments.steps, value=f"{used.memory:.0f} MiB", target=target))
     how = (
-        f"The paper's profile in lock-step, {arguments.steps} steps and {learned.updates} updates, from roslaunch to"
+        f"Default settings in lock-step, {arguments.steps} steps and {learned.updates} updates, from roslaunch to"
         " the last picture. Processor time of a node: all of it divided by the steps, its start included."
     )
     return [Section("A whole run", how, rows)]
