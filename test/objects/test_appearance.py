@@ -148,6 +148,14 @@ def test_true_views_exceed_most_look_alikes(appearance):
     np.testing.assert_array_equal(limits.true, calibrate(appearance, SETTINGS.trials).true)
 
 
+def test_fingerprints_are_calibrated_by_draws_of_their_own(appearance):
+    """Not by the same tables and lights, whose luck all limits would share."""
+    first = appearance.fingerprint
+    other = Appearance(replace(first, states=first.states + 1e-9), LEARNED.fingerprints, CAMERA)
+    difference = np.abs(calibrate(appearance, 9).true - calibrate(other, 9).true)
+    assert difference.max() > 0.01
+
+
 def test_bare_place_shows_table_of_blank(views):
     blank = BareTable(LEARNED.fingerprints[2], LEARNED.fingerprints, CAMERA)
     found = blank.search(Mosaic(views, WORKSPACE, 0.02))
