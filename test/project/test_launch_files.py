@@ -218,3 +218,12 @@ def test_velocity_service_starts_its_adapter_and_no_driver(bringup):
     path = next(path for path in LAUNCH if path.stem == "arm")
     XmlLoader().load(str(path), config, argv=["robot:=velocity_service", f"bringup:={bringup}"], verbose=False)
     assert {node.name for node in config.nodes} == {"velocity_service_arm", "camera_pipeline"}
+
+
+def test_invalid_number_of_trainers_is_reported_by_the_resolver(tmp_path, capfd):
+    path = next(path for path in LAUNCH if path.stem == "learn")
+    with pytest.raises(XmlParseException):
+        XmlLoader().load(
+            str(path), ROSLaunchConfig(), argv=["trainers:=two", f"session_root:={tmp_path}"], verbose=False
+        )
+    assert "training/trainers is 'two': expected a whole number" in capfd.readouterr().err
