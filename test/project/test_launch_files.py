@@ -182,16 +182,22 @@ def test_visits_without_an_arm_are_refused():
         XmlLoader().load(str(path), ROSLaunchConfig(), argv=["replay:=a", "visit:=true"], verbose=False)
 
 
-@pytest.mark.parametrize("replay", ["unset", "007"])
-def test_identify_launch_keeps_names_of_digits(monkeypatch, replay):
-    commands = []
+@pytest.fixture
+def commands(monkeypatch):
+    """The commands of parameters, which are recorded instead of run."""
+    recorded = []
 
     def param_value(loader, verbose, name, kind, value, textfile, binfile, command):
-        commands.append(command or "")
+        recorded.append(command or "")
         return read(loader, verbose, name, kind, value, textfile, binfile, None) if command is None else {}
 
     read = XmlLoader.param_value
     monkeypatch.setattr(XmlLoader, "param_value", param_value)
+    return recorded
+
+
+@pytest.mark.parametrize("replay", ["unset", "007"])
+def test_identify_launch_keeps_names_of_digits(commands, replay):
     config = ROSLaunchConfig()
     path = next(path for path in LAUNCH if path.stem == "identify")
     arguments = ["sessions:=20261102", "name:=0815", f"replay:={replay}"]
@@ -227,3 +233,13 @@ def test_invalid_number_of_trainers_is_reported_by_the_resolver(tmp_path, capfd)
             str(path), ROSLaunchConfig(), argv=["trainers:=two", f"session_root:={tmp_path}"], verbose=False
         )
     assert "training/trainers is 'two': expected a whole number" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("explorer", "updates"), [("ergodic", ""), ("mine.spiral:SpiralExplorer", ""), ("uniform_ergodic", "0")]
+)
+def test_identify_launch_trains_for_own_explorers(commands, explorer, updates):
+    path = next(path for path in LAUNCH if path.stem == "identify")
+    XmlLoader().load(str(path), ROSLaunchConfig(), argv=["sessions:=a", f"explorer:={explorer}"], verbose=False)
+    resolve = next(command for command in commands if "resolve_config" in command)
+    assert f'--set "training/updates_per_observation={updates}"' in resolve
