@@ -81,6 +81,12 @@ def test_resume_rejects_incompatible_override(tmp_path):
         resolve("", override(tmp_path, session__resume="true", exploration__seed=5))
 
 
+def test_resume_without_a_name_lists_the_sessions(tmp_path):
+    Session.open_for_writing(resolve("demo", override(tmp_path))).close()
+    with pytest.raises(SessionError, match=r"resume:=true needs session:=NAME; known are run$"):
+        resolve("", override(tmp_path, session__name="", session__resume="true"))
+
+
 def test_robot_profile_overrides_run_profile(tmp_path):
     profile = tmp_path / "fast.yaml"
     profile.write_text("arm: {max_speed: 0.3}\nexploration: {steps: 200}\n")

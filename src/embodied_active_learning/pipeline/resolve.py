@@ -20,12 +20,12 @@ from embodied_active_learning.config import (
     load_profile,
     merge,
 )
-from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.files import parse_yaml, short_repr
 from embodied_active_learning.hardware_config import ARMS
 from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
 from embodied_active_learning.schema import check_keys, settings
-from embodied_active_learning.session.session import Session, check_session, session_path, session_root
+from embodied_active_learning.session.session import Session, check_session, known_sessions, session_path, session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 from embodied_active_learning.simulation.world import find_world, load_world
 
@@ -149,6 +149,9 @@ def _base(
     given = check_keys(Config, {section: changes.get(section, {}) for section in ("session", "arm")})
     session, robot = SessionConfig(**given["session"]), given["arm"].get("robot", SIMULATED)
     if session.resume:
+        if not session.name:
+            root = session_root(Config(session=session))
+            raise SessionError(f"session/name is missing: resume:=true needs session:=NAME; {known_sessions(root)}")
         path = session_path(Config(session=session))
         if path.is_dir():
             stored = Session.open_read_only(path).config.to_dict()

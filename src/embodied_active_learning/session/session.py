@@ -150,7 +150,7 @@ def find_session(root: Path, name: str, subject: str = "session") -> Path:
     path = root / check_name(name, subject)
     stays_inside(root, path)
     if not path.is_dir():
-        raise SessionError(f"{subject} is {name!r}, but there is no such session in {root}: {_known_sessions(root)}")
+        raise SessionError(f"{subject} is {name!r}, but there is no such session in {root}: {known_sessions(root)}")
     return path
 
 
@@ -179,7 +179,7 @@ def list_sessions(root: Path) -> List[Path]:
     return sorted(path.parent for path in Path(root).glob(f"*/{CONFIG_FILE}") if is_description(path))
 
 
-def _known_sessions(root: Path) -> str:
+def known_sessions(root: Path) -> str:
     """Return the end of a message about an unknown session."""
     return f"known are {', '.join(found.name for found in list_sessions(root)[:_MAX_LISTED]) or 'none'}"
 
@@ -189,7 +189,7 @@ def _check_folder(path: Path, config: Config) -> None:
     if not _is_new(path):
         _check_existing(path, config)
     elif config.session.resume:
-        raise SessionError(f"no session {path} to resume: {_known_sessions(path.parent)}")
+        raise SessionError(f"no session {path} to resume: {known_sessions(path.parent)}")
 
 
 def _check_existing(path: Path, config: Config) -> None:
