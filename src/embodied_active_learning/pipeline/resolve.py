@@ -35,6 +35,16 @@ AUTO = "auto"
 """Value of exploration/steps in launch files that stands for exploration/stop: stable."""
 BRINGUPS = ("all", "nodes", "none")
 """What a launch file starts of the arm: everything, everything but a real arm's drivers, or nothing."""
+_PLACEHOLDERS = {
+    "session": "NAME",
+    "bag": "PATH",
+    "robot_host": "ADDRESS",
+    "server_host": "ADDRESS",
+    "robot_env": "FILE",
+    "server_env": "FILE",
+    "robot_profile": "FILE",
+}
+"""What stands for the value of a required launch argument in messages."""
 
 
 def parse_overrides(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
@@ -104,6 +114,13 @@ def merge_config(
 def unset_to_empty(value: str) -> str:
     """Return the value of a launch argument; empty if it is unset."""
     return "" if value == UNSET else value
+
+
+def require_arguments(values: Mapping[str, str]) -> None:
+    """Check that launch arguments are given. Raises ConfigError."""
+    for name, value in values.items():
+        if not unset_to_empty(value):
+            raise ConfigError(f"{name} is missing: give {name}:={_PLACEHOLDERS.get(name, 'VALUE')}")
 
 
 def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "", robot_profile: str = "") -> None:
