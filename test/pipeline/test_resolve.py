@@ -3,7 +3,7 @@
 import pytest
 
 from embodied_active_learning.errors import ConfigError, SessionError, WorldError
-from embodied_active_learning.pipeline.resolve import check_bringup, parse_overrides, resolve_config
+from embodied_active_learning.pipeline.resolve import check_bringup, check_robot, parse_overrides, resolve_config
 from embodied_active_learning.session.session import Session
 
 
@@ -123,13 +123,30 @@ def test_robot_profile_in_simulation_is_rejected(tmp_path):
         ("franka", "all", "", "robot_ip is missing"),
         ("franka", "all", "172.16.0.2", "robot_profile is missing"),
         ("franka", "some", "172.16.0.2", "expected one of all, nodes, none"),
-        ("recording", "all", "", "use bringup:=none"),
+        ("recording", "all", "", "use replay.launch"),
     ],
 )
 def test_invalid_bringup_is_rejected(tmp_path, robot, bringup, robot_ip, expected):
     config = resolve("demo", override(tmp_path, arm__robot=robot))
     with pytest.raises(ConfigError, match=expected):
         check_bringup(config, bringup, robot_ip)
+
+
+@pytest.mark.parametrize(
+    ("robot", "expected"),
+    [
+        ("recording", r"no arm: learn from a recording with replay\.launch"),
+        ("ur5", "robot is 'ur5': expected one of pybullet, franka, velocity_service$"),
+    ],
+)
+def test_robot_without_an_arm_is_rejected(robot, expected):
+    with pytest.raises(ConfigError, match=expected):
+        check_robot({"arm": {"robot": robot}})
+
+
+@pytest.mark.parametrize("changes", [{}, {"arm": {"robot": "franka"}}])
+def test_robot_with_an_arm_is_accepted(changes):
+    check_robot(changes)
 
 
 @pytest.mark.parametrize(

@@ -259,3 +259,18 @@ def test_missing_argument_is_reported(capfd, name, arguments, message):
     with pytest.raises(XmlParseException):
         XmlLoader().load(str(path), ROSLaunchConfig(), argv=words, verbose=False)
     assert f"nothing was started: {message}" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "message"),
+    [
+        ("robot", "bringup:=none", "bringup is 'none': expected one of all, nodes"),
+        ("learn", "robot:=recording", "robot is recording, which has no arm"),
+        ("identify", "robot:=ur5", "robot is 'ur5': expected one of pybullet, franka, velocity_service\n"),
+    ],
+)
+def test_robot_and_bringup_without_an_arm_are_rejected(capfd, name, argument, message):
+    path = next(path for path in LAUNCH if path.stem == name)
+    with pytest.raises(XmlParseException):
+        XmlLoader().load(str(path), ROSLaunchConfig(), argv=[argument], verbose=False)
+    assert f"nothing was started: {message}" in capfd.readouterr().err

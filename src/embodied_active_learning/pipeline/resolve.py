@@ -123,16 +123,35 @@ def require_arguments(values: Mapping[str, str]) -> None:
             raise ConfigError(f"{name} is missing: give {name}:={_PLACEHOLDERS.get(name, 'VALUE')}")
 
 
-def check_bringup(config: Config, bringup: str, robot_ip: str, arm_id: str = "", robot_profile: str = "") -> None:
+def check_robot(changes: Mapping[str, Dict[str, Any]]) -> None:
+    """Check that the robot a launch file sets, if any, has an arm. Raises ConfigError."""
+    robot = changes.get("arm", {}).get("robot", SIMULATED)
+    if robot == RECORDED:
+        raise ConfigError(
+            "robot is recording, which has no arm: learn from a recording with replay.launch, search its session's "
+            "images with identify.launch replay:=NAME"
+        )
+    if robot not in ARMS:
+        raise ConfigError(f"robot is {short_repr(robot)}: expected one of {', '.join(ARMS)}")
+
+
+def check_bringup(
+    config: Config,
+    bringup: str,
+    robot_ip: str,
+    arm_id: str = "",
+    robot_profile: str = "",
+    bringups: Sequence[str] = BRINGUPS,
+) -> None:
     """Check the launch arguments about starting the arm. Raises ConfigError.
 
     A new session whose launch connects to a Panda needs a robot profile: the shipped one has the table at the height of
-    the base and no camera mount.
+    the base and no camera mount. bringups: values of bringup that the launch file takes.
     """
-    if bringup not in BRINGUPS:
-        raise ConfigError(f"bringup is {short_repr(bringup)}: expected one of {', '.join(BRINGUPS)}")
+    if bringup not in bringups:
+        raise ConfigError(f"bringup is {short_repr(bringup)}: expected one of {', '.join(bringups)}")
     if config.arm.robot == RECORDED and bringup != "none":
-        raise ConfigError("arm/robot is recording: use bringup:=none")
+        raise ConfigError("arm/robot is recording, which has no arm: use replay.launch")
     if config.arm.robot == FRANKA and bringup == "all" and not unset_to_empty(robot_ip):
         raise ConfigError(
             "robot_ip is missing: give the address of the Panda's controller, such as robot_ip:=172.16.0.2, or "
