@@ -120,7 +120,9 @@ class ExplorationConfig:
     """The exploration, and the samples that measure coverage."""
 
     explorer: str = setting("ergodic", "exploration strategy, or module:Class", choices=EXPLORERS, fixed=True)
-    measure: str = setting("conditional_entropy", "information measure that becomes the target", choices=MEASURES)
+    measure: str = setting(
+        "conditional_entropy", "information measure that becomes the target, or module:function", choices=MEASURES
+    )
     steps: int = setting(
         3000, "exploration steps, one observation each; an upper limit with stop: stable", "", 1, 1000000
     )
