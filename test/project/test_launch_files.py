@@ -12,6 +12,8 @@ from roslaunch.arg_dump import get_args
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader, XmlParseException
 
+from embodied_active_learning.config import REAL_ROBOTS
+
 LAUNCH = sorted((Path(__file__).resolve().parents[2] / "launch").glob("*.launch"))
 
 
@@ -51,6 +53,13 @@ def test_learn_launch_clears_private_parameters(tmp_path):
     private = {f"/{node.name}/" for node in config.nodes if any(f"/{node.name}/" in name for name in config.params)}
     assert private == {"/pybullet_arm/", "/trainer/", "/ergodic_planner/", "/fingerprinter/", "/monitor/"}
     assert private <= set(config.clear_params)
+
+
+@pytest.mark.parametrize("robot", REAL_ROBOTS)
+def test_launch_of_real_arm_clears_stop_and_hold(robot):
+    config = ROSLaunchConfig()
+    XmlLoader().load(str(LAUNCH[0].parent / f"{robot}_arm.launch"), config, verbose=False)
+    assert {config.params[f"/{robot}_arm/{name}"].value for name in ("stopped_by", "held_for")} == {""}
 
 
 @pytest.fixture

@@ -35,8 +35,8 @@ class Readiness:
         self._clock = clock
         self._report = Report()
         self._condition = Condition.NO_STATE
-        self._manual_hold = ""  # why a person has to release the robot
-        self._reflex_hold = ""
+        # Why a person has to release the robot. Only the second ends with a recovery that a person has requested.
+        self._manual_hold = self._reflex_hold = ""
         self._prepared = False
         self._preparation_error = ""
         self._retries_preparation = False
@@ -153,7 +153,7 @@ class Readiness:
         self.forget_reflexes()
 
     def hold(self, reason: str) -> None:
-        """Hold the robot until `release`."""
+        """Hold the robot until `release`; not if the reason is empty."""
         self._manual_hold = reason
 
     def forget_reflexes(self) -> None:

@@ -85,6 +85,7 @@ TRAINER_ADDRESS = "trainer/address"
 PLANNER_PAUSED_BY = "ergodic_planner/paused_by"
 # Persistent parameters: state of a node across its restarts; launch files clear them.
 STOPPED_BY = "~stopped_by"
+HELD_FOR = "~held_for"
 PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 

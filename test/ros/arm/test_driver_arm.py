@@ -1,5 +1,6 @@
 """What the nodes of real arms share, with a driver and a loop that record their calls; no ROS master."""
 
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
@@ -7,7 +8,9 @@ import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, CommandError, ConfigError, RobotError
-from embodied_active_learning.franka.driver import Reached
+from embodied_active_learning.franka.driver import FrankaDriver, Reached
+from embodied_active_learning.franka.report import RobotMode
+from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm import driver_arm, server
 from embodied_active_learning.ros.arm.driver_arm import DriverArm
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK
@@ -23,6 +26,10 @@ class Driver:
         self.calls = []
         self.why = ""
         self.error = None
+
+    @contextmanager
+    def readiness(self):
+        yield SimpleNamespace(hold=lambda reason: None)
 
     def move(self, *arguments):
         return self._call("move", *arguments)
@@ -166,3 +173,20 @@ def test_shutdown_after_failed_loop_leaves_robot_at_rest(make):
     assert arm.driver.calls == [], "without ticks the driver cannot brake"
     with pytest.raises(ValueError, match="no set-point"):
         arm.spin()
+
+
+def test_hold_survives_restart_of_node(make, monkeypatch):
+    """After a user stop, a person is needed also if the node is restarted meanwhile."""
+    stored = {}
+    monkeypatch.setattr(server.persistent_parameters, "load", lambda name: stored[name]() if name in stored else "")
+    monkeypatch.setattr(server.persistent_parameters, "store", stored.__setitem__)
+    driver = FrankaDriver(CONFIG)
+    Arm(CONFIG, driver)
+    assert stored[names.HELD_FOR]() == ""
+    driver.update_state(1.0, 0.0, (0.0,) * 16, RobotMode.USER_STOPPED, (), ())
+    restarted = FrankaDriver(CONFIG)
+    Arm(CONFIG, restarted)
+    with restarted.readiness() as readiness:
+        assert readiness.held_for == "the user stop was pressed and has been released"
+        readiness.release()
+    assert stored[names.HELD_FOR]() == ""

@@ -402,6 +402,8 @@ def test_persistent_parameters_have_remedies():
     results = computer.check_persistent_parameters(values)
     assert levels(results) == ["WARNING", "WARNING"]
     assert "/arm/recover" in results[1].remedy
+    held = computer.check_persistent_parameters({"/franka_arm/held_for": "the user stop was pressed"})
+    assert "/arm/recover" in held[0].remedy
 
 
 def test_missing_services_are_named():

@@ -19,6 +19,7 @@ from embodied_active_learning.ros.arm.config_check import ConfigCheck
 from embodied_active_learning.ros.arm.rate_loop import RateLoop
 from embodied_active_learning.ros.arm.server import ArmServer, MoveOutcome
 from embodied_active_learning.ros.conversions import state_message
+from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, Health
 from embodied_active_learning.ros.runtime.node import publish
 
@@ -41,6 +42,9 @@ class DriverArm(ArmServer):
             )
         super().__init__(config)
         self._driver = driver
+        with driver.readiness() as readiness:
+            readiness.hold(persistent_parameters.load(names.HELD_FOR))
+        persistent_parameters.store(names.HELD_FOR, self._held_for)
         self._config_check = ConfigCheck(config)
         self._rate = config.franka.rate
         self._states = rospy.Publisher(names.ARM_STATE, PlanarState, queue_size=10, tcp_nodelay=True)
@@ -133,6 +137,10 @@ class DriverArm(ArmServer):
         typical, largest = 1e3 * self._loop.lateness(0.99), 1e3 * self._loop.lateness(1.0)
         late = {"set-points late, 99 % and maximum [ms]": f"{typical:.1f}, {largest:.1f}"}
         return {**self._driver.values(), **late}
+
+    def _held_for(self) -> str:
+        with self._driver.readiness() as readiness:
+            return readiness.held_for
 
 
 def _message(reached: Reached) -> PlanarState:

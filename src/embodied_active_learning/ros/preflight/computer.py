@@ -13,6 +13,7 @@ from embodied_active_learning.session.disk import check_space, estimate_bytes, f
 _REMEDIES = {
     "failure": "launch again; a launch clears it",
     "stopped_by": "rosservice call /arm/recover, once the cause is known",
+    "held_for": "check the robot, then rosservice call /arm/recover",
     "paused_by": "rosservice call /planner/resume",
     "has_paused_planner": "restart the fingerprinter, which resumes the planner, or rosservice call /planner/resume",
 }

@@ -43,6 +43,7 @@ SERVICES = (names.ARM_MOVE, names.ARM_GO_TO, names.ARM_HEARTBEAT, names.ARM_STOP
 PARAMETERS = (
     names.FAILURE_PARAMETER,
     *(f"{arm.node}/stopped_by" for arm in ARMS.values()),
+    *(f"{ARMS[robot].node}/held_for" for robot in REAL_ROBOTS),
     names.PLANNER_PAUSED_BY,
     "fingerprinter/has_paused_planner",
 )
