@@ -86,7 +86,7 @@ def check(monkeypatch):
 def make(monkeypatch, check):
     """Builds and starts an arm."""
     monkeypatch.setattr(server.persistent_parameters, "load", lambda name: "")
-    monkeypatch.setattr(server.persistent_parameters, "store", lambda name, text: None)
+    monkeypatch.setattr(server.persistent_parameters, "store", lambda name, text: lambda: None)
     loop = SimpleNamespace(failure=None, end=lambda: None, lateness=lambda fraction: 0.0)
     monkeypatch.setattr(driver_arm, "RateLoop", lambda rate, function: loop)
     monkeypatch.setattr(driver_arm.sys, "setswitchinterval", lambda seconds: None)

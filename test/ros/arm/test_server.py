@@ -60,9 +60,15 @@ def clock(monkeypatch):
 
 
 @pytest.fixture
-def arm(monkeypatch, clock):
+def stored():
+    """The nodes whose stop was stored by a direct call."""
+    return []
+
+
+@pytest.fixture
+def arm(monkeypatch, clock, stored):
     monkeypatch.setattr(server.persistent_parameters, "load", lambda name: "")
-    monkeypatch.setattr(server.persistent_parameters, "store", lambda name, text: None)
+    monkeypatch.setattr(server.persistent_parameters, "store", lambda name, text: lambda: stored.append(text()))
     return RecordingArm()
 
 
@@ -103,6 +109,11 @@ def test_stop_by_other_node_lasts_until_recovered(arm):
     assert arm.handle_recover(request("/operator")).success
     assert arm.handle_move(MOVE).success
     assert [call[0] for call in arm.calls] == ["stop", "recover", "move"]
+
+
+def test_stop_is_stored_before_response(arm, stored):
+    arm.handle_stop(request("/operator"))
+    assert stored == ["/operator"]
 
 
 def test_failed_recovery_leaves_arm_stopped(arm):

@@ -38,7 +38,7 @@ class ArmServer(ABC):
 
     def __init__(self, config: Config) -> None:
         self.arbiter = ArmArbiter(config.arm.commander_timeout, stopped_by=persistent_parameters.load(names.STOPPED_BY))
-        persistent_parameters.store(names.STOPPED_BY, lambda: self.arbiter.stopped_by)
+        self._store_stop = persistent_parameters.store(names.STOPPED_BY, lambda: self.arbiter.stopped_by)
         self._limited = 0
 
     def advertise_services(self) -> None:
@@ -92,6 +92,7 @@ class ArmServer(ABC):
         """Service /arm/stop: the command in progress ends at once."""
         with self.arbiter.stop(request) as needs_recovery:
             self.stop()
+        self._store_stop()
         remedy = f"; commands are rejected until {rospy.resolve_name(names.ARM_RECOVER)} is called"
         return TriggerResponse(True, f"arm stopped{remedy if needs_recovery else ''}")
 
