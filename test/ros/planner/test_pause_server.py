@@ -18,6 +18,23 @@ def test_person_can_release_pause_of_dead_node():
     assert requests.text == ""
 
 
+def test_node_released_by_person_ends_no_later_pause():
+    requests = PauseRequests()
+    requests.add("/fingerprinter")
+    requests.release("/rosservice_1")
+    requests.add("/rosservice_2")
+    assert not requests.release("/fingerprinter")
+    assert requests.text == "/rosservice_2"
+
+
+def test_node_released_by_person_can_pause_again():
+    requests = PauseRequests()
+    requests.add("/fingerprinter")
+    requests.release("/rosservice_1")
+    requests.add("/fingerprinter")
+    assert requests.release("/fingerprinter")
+
+
 def test_release_without_pause_changes_nothing():
     assert not PauseRequests().release("/fingerprinter")
 

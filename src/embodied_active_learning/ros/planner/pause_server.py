@@ -20,13 +20,15 @@ class PauseRequests:
 
     A node that has paused the planner releases its own request only, so that a person's pause outlasts that of a
     fingerprinter, whichever came first. Any other caller releases all requests: each rosservice call of a person has
-    another node name, and a pause must not outlast a node that died.
+    another node name, and a pause must not outlast a node that died. A node whose request was released by another
+    caller releases nothing when it resumes: a person may have paused the planner again meanwhile.
     """
 
     def __init__(self, text: str = "") -> None:
         """Restore the requests from the `text` of earlier ones."""
         self._lock = threading.Lock()
         self._names: Set[str] = set(text.split())
+        self._released: Set[str] = set()  # by another caller, and not by their own node since then
 
     @property
     def text(self) -> str:
@@ -39,13 +41,19 @@ class PauseRequests:
         with self._lock:
             is_first = not self._names
             self._names.add(name)
+            self._released.discard(name)
             return is_first
 
     def release(self, name: str) -> bool:
         """Release a node's request, see above; return whether this has ended a pause."""
         with self._lock:
+            if name in self._released:
+                self._released.remove(name)
+                return False
+            ended = {name} if name in self._names else self._names
+            self._released |= ended - {name}
             was_paused = bool(self._names)
-            self._names = self._names - {name} if name in self._names else set()
+            self._names = self._names - ended
             return was_paused and not self._names
 
 
