@@ -34,6 +34,7 @@ class Interface:
         self.has_manager = True
         self.is_user_stopped = False
         self.speed = 0.0  # m/s along x
+        self.before_call = lambda: None
 
     def controllers(self):
         if not self.has_manager:
@@ -71,6 +72,7 @@ class Interface:
 
     def _call(self, name):
         self.calls.append(name)
+        self.before_call()
         if not self.has_manager or name == self.rejected:
             raise RobotError(f"{name} rejected")
 
@@ -241,6 +243,18 @@ def test_error_unknown_to_franka_control_is_provoked_and_cleared(lab):
     preparation = ["stop", "set_collision_behaviour", "set_load", "set_stiffness", "start"]
     assert lab.interface.calls == ["recover", "load", "start", "recover", *preparation]
     assert condition(lab) is Condition.READY
+
+
+def test_robot_is_never_ready_with_lost_settings(lab):
+    """A command that is accepted before the preparation would be cut off when the controller is stopped."""
+    prepared(lab)
+    lab.interface.errors, lab.interface.recovers, lab.interface.running = ERROR, [False, True], {}
+    lab.passes()
+    conditions = []
+    lab.interface.before_call = lambda: conditions.append(condition(lab))
+    lab.supervisor.recover()
+    assert len(conditions) == 9
+    assert Condition.READY not in conditions
 
 
 def test_error_that_persists_is_reported_with_remedy(lab):

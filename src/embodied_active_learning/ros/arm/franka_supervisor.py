@@ -119,6 +119,7 @@ class FrankaSupervisor:
             raise RobotError(f"the robot still reports its error: stop {', '.join(others)}, then call /arm/recover")
         rospy.logwarn("the robot still reports its error: starting %s so that franka_control notices it", CONTROLLER)
         ours = controllers.get(CONTROLLER)
+        self._reject_commands()
         if ours is None:
             self._interface.load()
         if ours is None or not ours.is_active:
@@ -153,6 +154,7 @@ class FrankaSupervisor:
 
     def _prepare(self) -> None:
         """Set collision behaviour, load and stiffness, and start the controller. Raises RobotError."""
+        self._reject_commands()
         ours = self._interface.controllers().get(CONTROLLER)
         if ours is not None and ours.is_active:
             self._wait_for_rest()
@@ -175,6 +177,11 @@ class FrankaSupervisor:
             list(self._config.force_limits),
             self._config.load_mass,
         )
+
+    def _reject_commands(self) -> None:
+        """Reject commands until the robot is prepared: its controller may run with other settings, and is stopped."""
+        with self._driver.readiness() as readiness:
+            readiness.set_unprepared("the robot is being prepared", retry=True)
 
     def _wait_for_rest(self) -> None:
         """Wait until the arm, which another node may have left in motion, is at rest. Raises RobotError."""
