@@ -40,6 +40,38 @@ class Robot:
         return why_not_ready(self.readiness, self._config)
 
 
+@pytest.mark.parametrize("controllers", [{}, {**RUNNING, "pose": Controller("running", True)}])
+def test_controller_that_was_stopped_needs_person(controllers):
+    """Also if another node has started it again, because it has lost its settings if franka_control was restarted."""
+    robot = Robot()
+    robot.reports(controllers=controllers)
+    assert robot.reports() is Condition.UNPREPARED
+    assert "call /arm/recover" in robot.explanation
+    assert not robot.readiness.needs_preparation
+    robot.readiness.release()
+    assert robot.readiness.needs_preparation
+
+
+def test_stop_of_controller_during_user_stop_is_noticed():
+    robot = Robot()
+    robot.reports(mode=RobotMode.USER_STOPPED, controllers={})
+    robot.readiness.release()
+    assert robot.reports() is Condition.UNPREPARED
+
+
+def test_restarted_franka_control_is_prepared_again():
+    robot = Robot()
+    robot.reports(controllers=None, age=1.0)
+    assert robot.reports() is Condition.UNPREPARED
+    assert robot.readiness.needs_preparation
+
+
+def test_silent_controller_manager_keeps_preparation():
+    robot = Robot()
+    robot.reports(controllers=None)
+    assert robot.reports() is Condition.READY
+
+
 def test_robot_under_our_controller_alone_is_ready():
     robot = Robot()
     assert robot.readiness.is_ready
@@ -66,8 +98,12 @@ def test_robot_under_our_controller_alone_is_ready():
             "moves the robot: pose",
         ),
         ({"publishers": ("/marker",)}, Condition.OTHER_PUBLISHER, "publishes set-points to .*: /marker"),
-        ({"controllers": {CONTROLLER: Controller("stopped", True)}}, Condition.STOPPED, "was stopped by another node"),
-        ({"controllers": {}}, Condition.STOPPED, "call /arm/recover to start it again"),
+        (
+            {"controllers": {CONTROLLER: Controller("stopped", True)}},
+            Condition.UNPREPARED,
+            "was stopped by another node",
+        ),
+        ({"controllers": {}}, Condition.UNPREPARED, "call /arm/recover to start it again"),
         ({"has_subscriber": False}, Condition.NO_SUBSCRIBER, "does not subscribe"),
         ({"mode": RobotMode.IDLE}, Condition.STARTING, "does not follow it yet"),
         ({"control_age": 3.1}, Condition.OUTDATED_CONTROL, "unknown for 3.1 s"),
@@ -237,7 +273,7 @@ def test_restarted_controller_has_full_grace_period():
     robot = Robot()
     stopped = {CONTROLLER: Controller("stopped", True)}
     assert robot.reports(mode=RobotMode.IDLE) is Condition.STARTING
-    assert robot.reports(mode=RobotMode.IDLE, controllers=stopped, after=0.9 * GRACE) is Condition.STOPPED
+    assert robot.reports(mode=RobotMode.IDLE, controllers=stopped, after=0.9 * GRACE) is Condition.UNPREPARED
     robot.readiness.set_prepared()
     assert robot.reports(mode=RobotMode.IDLE, after=0.2 * GRACE) is Condition.STARTING
     assert robot.reports() is Condition.READY

@@ -257,6 +257,20 @@ def test_robot_is_never_ready_with_lost_settings(lab):
     assert Condition.READY not in conditions
 
 
+def test_controller_restarted_by_another_node_is_prepared_on_request(lab):
+    prepared(lab)
+    for controller in (Controller("stopped", True), Controller("running", True)):
+        lab.interface.running = {CONTROLLER: controller}
+        lab.supervisor.update_controllers()
+        lab.passes(0.2)
+    lab.supervisor.check()
+    assert lab.interface.calls == []
+    assert "was stopped by another node" in lab.driver.why_not_ready()
+    lab.supervisor.recover()
+    assert lab.interface.calls == ["stop", "set_collision_behaviour", "set_load", "set_stiffness", "start"]
+    assert condition(lab) is Condition.READY
+
+
 def test_error_that_persists_is_reported_with_remedy(lab):
     prepared(lab)
     lab.interface.errors, lab.interface.recovers = ERROR, [False, False]

@@ -15,7 +15,6 @@ _FIXED = {
     Condition.GUIDED: "the robot is guided by hand: let go of it, then call /arm/recover",
     Condition.RECOVERING: "the robot is recovering from a reflex",
     Condition.NO_CONTROLLER_MANAGER: "no response from controller_manager: is franka_control running?",
-    Condition.STOPPED: f"{CONTROLLER} was stopped by another node: call /arm/recover to start it again",
     Condition.NO_SUBSCRIBER: f"{CONTROLLER} does not subscribe to set-points: franka_ros 0.8 or newer is required",
     Condition.STARTING: f"{CONTROLLER} is running, but the robot does not follow it yet",
 }

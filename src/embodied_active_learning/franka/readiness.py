@@ -118,6 +118,7 @@ class Readiness:
         self._report = report
         now = self._clock()
         self._hold_after_manual_stop(report)
+        self._check_preparation(report)
         self._condition = self._evaluate(report, now)
         if self._condition is not Condition.REFLEX:
             self._reflex_since = None
@@ -170,13 +171,25 @@ class Readiness:
         elif report.mode == RobotMode.GUIDING:
             self._manual_hold = "the robot was guided by hand"
 
-    def _evaluate(self, report: Report, now: float) -> Condition:
+    def _check_preparation(self, report: Report) -> None:
+        """Record that another node has stopped our controller, or that franka_control may have lost the settings."""
+        if not self._prepared:
+            return
+        if report.controllers is None:
+            if self._is_stale(report):
+                self.set_unprepared("franka_control does not respond: the robot is prepared again", retry=True)
+        elif report.other_controllers or not report.is_controlled:
+            self.set_unprepared(f"{CONTROLLER} was stopped by another node: call /arm/recover to start it again")
+
+    def _is_stale(self, report: Report) -> bool:
         max_age = self._config.state_max_age
-        age = math.inf if report.age is None else report.age
+        return report.age is None or report.age > max_age or abs(report.delay) > max_age
+
+    def _evaluate(self, report: Report, now: float) -> Condition:
         recovering = self._recovering or report.mode == RobotMode.AUTOMATIC_ERROR_RECOVERY
         found = _first(
             (Condition.NO_STATE, report.age is None),
-            (Condition.STALE, age > max_age or abs(report.delay) > max_age),
+            (Condition.STALE, self._is_stale(report)),
             (Condition.USER_STOPPED, report.mode == RobotMode.USER_STOPPED),
             (Condition.GUIDED, report.mode == RobotMode.GUIDING),
             (Condition.RECOVERING, recovering),
@@ -208,13 +221,11 @@ class Readiness:
         return Condition.RECOVERY_REQUIRED
 
     def _evaluate_control(self, report: Report, now: float) -> Condition:
-        ours = (report.controllers or {}).get(CONTROLLER)
         found = _first(
             (Condition.NO_CONTROLLER_MANAGER, report.controllers is None),
             (Condition.OTHER_CONTROLLER, bool(report.other_controllers)),
             (Condition.OTHER_PUBLISHER, bool(report.publishers)),
             (Condition.UNPREPARED, not self._prepared),
-            (Condition.STOPPED, ours is None or not ours.is_active),
             # Last: while the robot is being prepared, its controllers are not listed.
             (Condition.OUTDATED_CONTROL, report.control_age > CONTROL_TIMEOUT),
         )

@@ -36,7 +36,6 @@ class Condition(enum.Enum):
     OTHER_CONTROLLER = "another controller"
     OTHER_PUBLISHER = "another node's set-points"
     UNPREPARED = "not prepared"
-    STOPPED = "controller stopped"
     NO_SUBSCRIBER = "no subscriber to set-points"
     STARTING = "starting"
     OUTDATED_CONTROL = "outdated list of controllers"
@@ -87,6 +86,12 @@ class Report(NamedTuple):
         """Names of the running controllers."""
         names = [name for name, one in (self.controllers or {}).items() if one.state == "running"]
         return ", ".join(names) or "none known"
+
+    @property
+    def is_controlled(self) -> bool:
+        """Whether our controller is active."""
+        ours = (self.controllers or {}).get(CONTROLLER)
+        return ours is not None and ours.is_active
 
     @property
     def other_controllers(self) -> Tuple[str, ...]:

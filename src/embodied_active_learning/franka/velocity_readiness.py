@@ -23,6 +23,9 @@ class VelocityReadiness(Readiness):
     releases it.
     """
 
+    def _check_preparation(self, report: Report) -> None:
+        """Nothing is known about controllers."""
+
     def _evaluate_reflex(self) -> Condition:
         self._reflex_hold = f"the robot has stopped ({self._report.error_names})"
         return Condition.RECOVERY_REQUIRED

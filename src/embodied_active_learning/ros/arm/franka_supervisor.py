@@ -69,7 +69,7 @@ class FrankaSupervisor:
             prepare = False
             if self._condition() in (Condition.REFLEX, Condition.RECOVERY_REQUIRED):
                 prepare = self._clear_errors()
-            if prepare or self._condition() in (Condition.UNPREPARED, Condition.STOPPED):
+            if prepare or self._condition() is Condition.UNPREPARED:
                 self._prepare()  # a restarted franka_control has lost all settings
             self._wait_while_transient()
             if self._condition() is not Condition.READY:
@@ -166,9 +166,9 @@ class FrankaSupervisor:
             self._interface.load()
         self._interface.set_stiffness(self._config)
         self._interface.start()
+        self.update_controllers()  # before it: a controller that is not known to run was stopped by another node
         with self._driver.readiness() as readiness:
             readiness.set_prepared()
-        self.update_controllers()
         rospy.loginfo(
             "robot prepared: stiffness %g N/m and %g Nm/rad, collision limits %s Nm and %s N, Nm, load %g kg",
             self._config.stiffness,
