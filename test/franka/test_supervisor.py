@@ -1,7 +1,9 @@
 """The supervisor prepares and recovers the robot: requests to franka_ros, recorded by an interface without ROS."""
 
+import http.client
 import threading
 from types import SimpleNamespace
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 import pytest
@@ -164,7 +166,8 @@ def test_load_is_sent_with_centre_and_inertia(requests):
     }
 
 
-def test_publishers_are_kept_while_master_is_down(monkeypatch):
+@pytest.mark.parametrize("error", [ConnectionRefusedError(), http.client.IncompleteRead(b""), ExpatError()])
+def test_publishers_are_kept_while_master_is_down(monkeypatch, error):
     """Connections of nodes outlive the master: another publisher may still send."""
     use_messages()
     from embodied_active_learning.ros.arm.franka_interface import FrankaInterface  # noqa: PLC0415
@@ -176,7 +179,7 @@ def test_publishers_are_kept_while_master_is_down(monkeypatch):
     assert FrankaInterface.other_publishers(interface) == ["/rival"]
 
     def refuse():
-        raise ConnectionRefusedError
+        raise error
 
     responses.append(refuse)
     assert FrankaInterface.other_publishers(interface) == ["/rival"]
@@ -268,6 +271,22 @@ def test_controller_restarted_by_another_node_is_prepared_on_request(lab):
     assert "was stopped by another node" in lab.driver.why_not_ready()
     lab.supervisor.recover()
     assert lab.interface.calls == ["stop", "set_collision_behaviour", "set_load", "set_stiffness", "start"]
+    assert condition(lab) is Condition.READY
+
+
+def test_recovery_ends_whatever_fails_after_it(lab):
+    prepared(lab)
+    lab.interface.errors, lab.interface.recovers = ERROR, [True]
+    lab.passes(1.5)
+    lab.supervisor.update_controllers()
+
+    def fail():
+        raise KeyError("unexpected")
+
+    lab.interface.other_publishers = fail
+    with pytest.raises(KeyError):
+        lab.supervisor.check()
+    lab.passes()
     assert condition(lab) is Condition.READY
 
 

@@ -23,6 +23,7 @@ from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller
 from embodied_active_learning.geometry import quaternion
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS
 from embodied_active_learning.ros.runtime.services import is_advertised, log_service_wait
 from embodied_active_learning.ros.runtime.timed_service import call_within
 
@@ -68,7 +69,7 @@ class FrankaInterface:
         topic = rospy.resolve_name(names.FRANKA_SET_POINT)
         try:
             _, _, (publishers, _, _) = rospy.get_master().getSystemState()
-        except OSError as error:
+        except CALL_ERRORS as error:
             # Connections outlive the master: those that were known may still send.
             rospy.logdebug("no response from the ROS master: %s", error)
             return self._other_publishers

@@ -223,9 +223,9 @@ class FrankaSupervisor:
             failure = str(error)
             raise
         finally:
-            self.update_controllers()
             with self._driver.readiness() as readiness:
                 readiness.end_recovery(failure)
+            self.update_controllers()
 
     def _log_why_not_ready(self) -> None:
         """Log what the robot waits for, as long as it is not ready."""

@@ -14,6 +14,7 @@ from embodied_active_learning.errors import RobotError, ServiceError
 from embodied_active_learning.franka.velocity_tracking import REST
 from embodied_active_learning.franka.velocity_tracking import Twist as EndEffectorTwist
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS
 from embodied_active_learning.ros.runtime.timed_service import TimedService, call_within
 from embodied_active_learning.srv import (
     StartVelocityControl,
@@ -95,7 +96,7 @@ def _controller_step() -> float:
     """Return the period [s] of the robot's velocity controller; infinite if it is unknown."""
     try:
         value = rospy.get_param(names.VELOCITY_STEP, math.inf)
-    except OSError as error:
+    except CALL_ERRORS as error:
         raise ServiceError(f"no response from the ROS master: {error}") from error
     try:
         return float(value)

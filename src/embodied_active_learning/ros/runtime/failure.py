@@ -6,6 +6,7 @@ import rospy
 
 from embodied_active_learning.errors import RunFailedError
 from embodied_active_learning.ros import names
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS
 from embodied_active_learning.ros.runtime.timers import WallTimer
 
 _PERIOD = 1.0
@@ -18,7 +19,7 @@ def report_failure(reason: str) -> None:
     try:
         if not rospy.get_param(name, ""):
             rospy.set_param(name, f"{rospy.get_name()}: {reason}")
-    except OSError as error:
+    except CALL_ERRORS as error:
         rospy.logdebug("failure not reported to the ROS master: %s", error)
 
 
@@ -37,7 +38,7 @@ class FailureWatch:
     def _check_parameter(self) -> None:
         try:
             self._reason = str(rospy.get_param(rospy.resolve_name(names.FAILURE_PARAMETER), ""))
-        except OSError:
+        except CALL_ERRORS:
             return  # the master cannot be reached at the moment
         if self._reason:
             rospy.signal_shutdown(self._reason)

@@ -14,11 +14,12 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, ServiceError
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS
 from embodied_active_learning.ros.runtime.node import ShutdownRequestedError, is_shutting_down, wait_until
 from embodied_active_learning.ros.runtime.wait_log import log_wait
 
-TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, OSError)
-"""Exceptions of a call whose server is gone; rospy does not wrap those of the socket."""
+TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportException, *CALL_ERRORS)
+"""Exceptions of a call whose server or master is gone; rospy does not wrap those of the socket and of XML-RPC."""
 HANDLER_FAILED = "responded with an error"
 """rospy's message for an exception in the server's handler."""
 _REJECTION_PERIOD = 60.0  # s of wall time: a client that retries may get the same response twice a second for hours
@@ -90,7 +91,7 @@ def is_advertised(name: str) -> bool:
     codes: List[int] = []
 
     def look_up() -> bool:
-        with suppress(OSError):
+        with suppress(*CALL_ERRORS):
             codes.append(rospy.get_master().lookupService(rospy.resolve_name(name))[0])
         return bool(codes)
 

@@ -20,6 +20,7 @@ from actionlib_msgs.msg import GoalID
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, TaskCancelledError
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS
 from embodied_active_learning.ros.runtime.node import ShutdownRequestedError
 from embodied_active_learning.ros.runtime.services import advertise_service, name_of_caller
 from embodied_active_learning.ros.runtime.timers import WallTimer
@@ -206,7 +207,7 @@ class Caller:
         """Whether the master knows the node; also if the master does not respond."""
         try:
             return bool(rospy.get_master().lookupNode(self._name)[0] == 1)
-        except OSError:
+        except CALL_ERRORS:
             return True
 
 
