@@ -53,11 +53,13 @@ LEARNING = SYSTEM | {"/monitor", "/recorder"}
 @pytest.mark.parametrize(
     ("name", "arguments", "names"),
     [
-        ("learn", {}, {*LEARNING, "/pybullet_arm"}),
-        ("learn", {"robot": "velocity_service"}, {*LEARNING, "/velocity_service_arm", "/camera_pipeline"}),
-        ("fingerprint", {"session": "a"}, {*SYSTEM, "/identifier", "/pybullet_arm"}),
+        ("learn", {}, {*LEARNING, *ARMS}),
+        ("learn", {"robot": "velocity_service"}, {*LEARNING, *ARMS, "/camera_pipeline"}),
+        ("learn", {"robot": "franka", "bringup": "none"}, LEARNING),
+        ("robot", {"bringup": "nodes"}, {*ARMS, "/camera_pipeline"}),
+        ("fingerprint", {"session": "a"}, {*SYSTEM, "/identifier", *ARMS}),
         ("fingerprint", {"session": "a", "views_from": "stored"}, {*SYSTEM, "/identifier"}),
-        ("identify", {"once": "false"}, {*SYSTEM, "/identifier", "/recorder", "/pybullet_arm"}),
+        ("identify", {"once": "false"}, {*SYSTEM, "/identifier", "/recorder", *ARMS}),
         ("identify", {"sessions": "a", "replay": "b"}, {"/identifier"}),
         (
             "replay",
@@ -68,8 +70,10 @@ LEARNING = SYSTEM | {"/monitor", "/recorder"}
 )
 def test_launch_requires_unused_names(master, tmp_path, name, arguments, names):
     """All of them, also if the launch is refused for another reason afterwards."""
+    if name != "robot":
+        arguments = {"session_root": tmp_path, **arguments}
     with suppress(XmlParseException):
-        load(name, session_root=tmp_path, **arguments)
+        load(name, **arguments)
     assert master.requested == names
 
 
@@ -81,6 +85,14 @@ def test_replay_is_refused_beside_a_running_system(master, capfd, node):
     output = capfd.readouterr().err
     assert f"node {node} is already running" in output
     assert "end robot.launch before it" in output
+
+
+def test_simulated_arm_is_refused_beside_a_real_one(master, capfd, tmp_path):
+    """It would take over /arm/stop."""
+    master.running.add("/franka_arm")
+    with pytest.raises(XmlParseException):
+        load("learn", session_root=tmp_path)
+    assert "node /franka_arm is already running" in capfd.readouterr().err
 
 
 def test_fingerprinting_is_refused_beside_an_identification(master, capfd):
