@@ -103,6 +103,7 @@ def test_robot_launch_starts_controller_camera_and_no_other_commander(lab):
     assert (camera["exposure"], camera["video_device"]) == (100, "/dev/video3")
     assert not any(camera[name] for name in ("autoexposure", "autofocus", "auto_white_balance"))
     assert parameters["/franka_arm/config"]["arm"]["robot"] == "franka"
+    assert not any(name.startswith("/measure_latency") for name in parameters)  # would outlast robot.launch
     assert not any(name.startswith("/config") for name in parameters)  # belongs to a system that may be learning
     assert not parameters["/use_sim_time"]
 

@@ -149,4 +149,7 @@ node.run_node = lambda name, body, **options: print(name, options)
 runpy.run_path({str(ROOT / "nodes" / "measure_latency")!r}, run_name="__main__")
 """
     ended = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
-    assert ended.stdout.strip() == "measure_latency {'needs_clock': True, 'failure_ends_run': False}"
+    assert (
+        ended.stdout.strip()
+        == "measure_latency {'needs_clock': True, 'reads_arm_config': True, 'failure_ends_run': False}"
+    )

@@ -14,7 +14,7 @@ from embodied_active_learning.errors import BusyError, ConfigError, EmbodiedActi
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.failure import report_failure
 from embodied_active_learning.ros.runtime.handshake import install_handshake_timeout
-from embodied_active_learning.ros.runtime.master import wait_for_master
+from embodied_active_learning.ros.runtime.master import connection_error, wait_for_master
 from embodied_active_learning.ros.runtime.running_nodes import own_name, require_unused_names
 from embodied_active_learning.ros.runtime.shutdown import (
     ExitCode,
@@ -37,6 +37,7 @@ def run_node(
     needs_clock: bool = False,
     always_required: bool = False,
     failure_ends_run: bool = True,
+    reads_arm_config: bool = False,
 ) -> None:
     """Run body(config) as a ROS node, and exit with an ExitCode. `--help` prints the docstring of the node instead.
 
@@ -46,20 +47,27 @@ def run_node(
         needs_clock: with /use_sim_time, wait for a publisher of /clock first.
         always_required: the launch always ends with this node, so it need not report a failure to a FailureWatch.
         failure_ends_run: whether a FailureWatch ends the run if this node fails.
+        reads_arm_config: see read_config.
     """
     if {"-h", "--help"} & set(sys.argv[1:]):
         sys.stdout.write(f"{getattr(body, '__globals__', {}).get('__doc__') or name}{_HELP}\n")
         sys.exit(ExitCode.SUCCESS)
     deadline = ShutdownDeadline(name)
     try:
-        code = _run(name, body, needs_clock, always_required, failure_ends_run and not always_required)
+        reports_failure = failure_ends_run and not always_required
+        code = _run(name, body, needs_clock, always_required, reports_failure, reads_arm_config)
     finally:
         deadline.start()
     exit_process(code)
 
 
 def _run(
-    name: str, body: Callable[[Config], None], needs_clock: bool, always_required: bool, reports_failure: bool
+    name: str,
+    body: Callable[[Config], None],
+    needs_clock: bool,
+    always_required: bool,
+    reports_failure: bool,
+    reads_arm_config: bool,
 ) -> ExitCode:
     wait_for_master()
     try:
@@ -74,7 +82,7 @@ def _run(
         show_library_log()
         if needs_clock:
             wait_for_clock()
-        config = read_config()
+        config = read_config(reads_arm_config)
         if config.arm.robot != SIMULATED:
             names.FRAMES.use_robot(config.franka.arm_id, config.franka.table_height)
         body(config)
@@ -114,17 +122,27 @@ def _has_clock() -> bool:
     return any(name == topic for name, _ in rospy.get_published_topics())
 
 
-def read_config() -> Config:
+def read_config(of_arm: bool = False) -> Config:
     """Return the configuration from the node's own parameter, or else from that of its namespace.
+
+    Args:
+        of_arm: prefer the configuration of a real arm that robot.launch has started, while the arm runs.
 
     Raises:
         ConfigError: no configuration on the parameter server, or an invalid one.
     """
     name = rospy.resolve_name(names.CONFIG_PARAMETER)
-    values = rospy.get_param(f"~{names.CONFIG_PARAMETER}", None) or rospy.get_param(name, None)
+    is_arm_running = of_arm and _is_running(rospy.resolve_name("franka_arm"))
+    own = rospy.resolve_name(names.ARM_CONFIG_PARAMETER) if is_arm_running else f"~{names.CONFIG_PARAMETER}"
+    values = rospy.get_param(own, None) or rospy.get_param(name, None)
     if values is None:
         raise ConfigError(f"parameter {name} is not set: start the node with a launch file of the package")
     return Config.from_dict(values)
+
+
+def _is_running(node: str) -> bool:
+    code, _, uri = rospy.get_master().lookupNode(node)
+    return bool(code == 1 and not connection_error(uri))
 
 
 def wait_until(
