@@ -134,6 +134,16 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
     assert not config.params["/use_sim_time"].value
 
 
+@pytest.mark.parametrize("name", ["learn", "identify"])
+def test_recorder_is_respawned(tmp_path, name):
+    config = ROSLaunchConfig()
+    arguments = [f"session_root:={tmp_path}", "record:=true", "respawn:=true", "once:=false"]
+    XmlLoader().load(str(LAUNCH[0].parent / f"{name}.launch"), config, argv=arguments, verbose=False)
+    recorder = next(node for node in config.nodes if node.name == "recorder")
+    assert recorder.respawn
+    assert recorder.respawn_delay == 3.0
+
+
 NOT_ON_TWO_MACHINES = {"world", "local_workers"}
 """Arguments of learn.launch for a simulated arm, or with the right default for a server."""
 
