@@ -46,6 +46,7 @@ def load(name, **arguments):
 
 
 ARMS = {f"/{robot}_arm" for robot in (SIMULATED, *REAL_ROBOTS)}
+MACHINES = dict.fromkeys(("robot_host", "server_host", "robot_env", "server_env", "robot_profile"), "x")
 SYSTEM = {"/trainer", "/ergodic_planner", "/fingerprinter"}
 LEARNING = SYSTEM | {"/monitor", "/recorder"}
 
@@ -57,6 +58,7 @@ LEARNING = SYSTEM | {"/monitor", "/recorder"}
         ("learn", {"robot": "velocity_service"}, {*LEARNING, *ARMS, "/camera_pipeline"}),
         ("learn", {"robot": "franka", "bringup": "none"}, LEARNING),
         ("robot", {"bringup": "nodes"}, {*ARMS, "/camera_pipeline"}),
+        ("two_machines", MACHINES, {*ARMS, "/camera_pipeline"}),
         ("fingerprint", {"session": "a"}, {*SYSTEM, "/identifier", *ARMS}),
         ("fingerprint", {"session": "a", "views_from": "stored"}, {*SYSTEM, "/identifier"}),
         ("identify", {"once": "false"}, {*SYSTEM, "/identifier", "/recorder", *ARMS}),
