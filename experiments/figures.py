@@ -17,12 +17,12 @@ from embodied_active_learning.evaluation.result_tables import (
     final_ergodic_measure,
     first_below,
     group_table,
-    interval,
     last_value,
     markdown,
     mean_table,
     replace_block,
     row_curves,
+    row_interval,
     run_table,
     summary_value,
 )
@@ -85,14 +85,15 @@ def ablation_models() -> None:
     rows = read_rows(RESULTS / "ablation_models" / "ablation_models.csv")
     groups: Dict[str, List[Dict[str, str]]] = {}
     for row in rows:
-        groups.setdefault(row["model"].rsplit("-", 2)[0], []).append(row)  # VARIANT-WORLD-seedN
+        variant, _, seed = row["model"].rsplit("-", 2)  # VARIANT-WORLD-seedN
+        groups.setdefault(variant, []).append({**row, "seed": seed})
     errors = ("error_everywhere", "error_near_objects")
     shares = (("kinds_learned", "kinds"), ("ranked_hits", "ranked_tests"), ("decided_hits", "decided_tests"))
     lines = [
         [
             name,
             len(members),
-            *(interval([float(row[error]) for row in members]) for error in errors),
+            *(row_interval(members, error) for error in errors),
             *("/".join(str(sum(int(row[part]) for row in members)) for part in share) for share in shares),
         ]
         for name, members in groups.items()

@@ -19,18 +19,20 @@ from launching import ROOT
 from sample_records import make_record
 
 ROWS = [
-    {"method": "a", "steps": "10", "value": "1.0"},
-    {"method": "a", "steps": "10", "value": "3.0"},
-    {"method": "a", "steps": "20", "value": "4.0"},
-    {"method": "b", "steps": "10", "value": "5.0"},
+    {"method": "a", "steps": "10", "value": "1.0", "seed": "0"},
+    {"method": "a", "steps": "10", "value": "3.0", "seed": "1"},
+    {"method": "a", "steps": "20", "value": "4.0", "seed": "0"},
+    {"method": "b", "steps": "10", "value": "5.0", "seed": "0"},
 ]
 
 
 def test_interval_of_values():
-    assert interval([]) == "-"
-    assert interval([0.12345]) == interval([0.12345, 0.12345]) == "0.123"
-    assert interval([1.0, 3.0]) == "2 (1 to 3)"
-    assert interval([1234.5]) == "1234"
+    assert interval([], []) == "-"
+    assert (
+        interval([0.12345], [0]) == interval([0.12345, 0.12345], [0, 1]) == interval([0.1, 0.1469], [1, 1]) == "0.123"
+    )
+    assert interval([1.0, 3.0], [0, 1]) == "2 (1 to 3)"
+    assert interval([1234.5], [0]) == "1234"
 
 
 def test_mean_table_has_a_line_for_each_group():
@@ -56,7 +58,7 @@ def test_run_table_shows_the_end_of_a_run():
 
 def test_group_table_states_how_many_runs_have_a_value():
     """The columns rise from 0.01 to 1 and from 0.03 to 3 in 100 steps."""
-    groups = {"a": [make_record("a", "ergodic", 1.0), make_record("b", "ergodic", 3.0)]}
+    groups = {"a": [make_record("a", "ergodic", 1.0), make_record("b", "ergodic", 3.0, seed=1)]}
     measures = {"first": first_below("exploration", "coverage", 0.025), "last": last_value("evaluation", "mse_own")}
     assert group_table(groups, measures)[-1] == "| a | 2 | 1; 1 of 2 runs | 2 (1 to 3) |"
     assert group_table(groups, {"distance": summary_value("distance")})[-1] == "| a | 2 | - |"

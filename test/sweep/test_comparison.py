@@ -16,12 +16,16 @@ from embodied_active_learning.sweep.record_figures import render_top_view
 from embodied_active_learning.sweep.run_records import load_record, write_record
 from sample_records import make_record
 
-RECORDS = [make_record("a", "ergodic", 1.0), make_record("b", "ergodic", 3.0), make_record("c", "uniform", 5.0)]
+RECORDS = [
+    make_record("a", "ergodic", 1.0),
+    make_record("b", "ergodic", 3.0, seed=1),
+    make_record("c", "uniform", 5.0),
+]
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=8))
 def test_bootstrap_interval_contains_the_mean_and_stays_within_the_data(values):
-    result = bootstrap_mean(np.array(values)[:, np.newaxis])
+    result = bootstrap_mean(np.array(values)[:, np.newaxis], range(len(values)))
     spread = 1e-9 * (1.0 + np.abs(values).max())
     assert min(values) - spread <= result.low[0] <= result.high[0] <= max(values) + spread
     assert result.mean[0] == pytest.approx(np.mean(values))
@@ -30,14 +34,19 @@ def test_bootstrap_interval_contains_the_mean_and_stays_within_the_data(values):
 def test_bootstrap_interval_covers_the_true_mean():
     """Of 200 samples of 20 normal numbers, about 93 % of the intervals cover it."""
     samples = np.random.default_rng(1).normal(3.0, 1.0, (20, 200))
-    result = bootstrap_mean(samples)
+    result = bootstrap_mean(samples, range(len(samples)))
     assert np.mean((result.low < 3.0) & (result.high > 3.0)) == pytest.approx(0.93, abs=0.05)
 
 
-def test_one_run_has_no_interval():
-    result = bootstrap_mean(np.array([[1.0, 2.0]]))
-    assert list(result.mean) == [1.0, 2.0]
+def test_one_seed_has_no_interval():
+    result = bootstrap_mean(np.array([[1.0, 2.0], [3.0, 4.0]]), [7, 7])
+    assert list(result.mean) == [2.0, 3.0]
     assert np.isnan(result.low).all()
+
+
+def test_runs_of_a_seed_are_averaged_before_seeds_are_resampled():
+    result = bootstrap_mean(np.array([[0.0], [3.0], [4.0], [5.0]]), [1, 2, 1, 2])
+    assert (result.mean[0], result.low[0], result.high[0]) == (3.0, 2.0, 4.0)
 
 
 def test_columns_are_averaged_per_group():

@@ -41,14 +41,15 @@ def run_table(records: Sequence[Record]) -> List[str]:
 
 
 def group_table(groups: Mapping[str, Sequence[Record]], measures: Mapping[str, Measure]) -> List[str]:
-    """Return a table of means over runs with 95 % intervals: a line for each group, a column for each measure."""
+    """Return a table of means with 95 % intervals over seeds: a line for each group, a column for each measure."""
     rows = []
     for name, records in groups.items():
         cells: List[object] = [name, len(records)]
         for measure in measures.values():
-            values = [value for value in map(measure, records) if value is not None]
-            reached = f"; {len(values)} of {len(records)} runs" if 0 < len(values) < len(records) else ""
-            cells.append(interval(values) + reached)
+            found = [record for record in records if measure(record) is not None]
+            values = [measure(record) for record in found]
+            reached = f"; {len(found)} of {len(records)} runs" if 0 < len(found) < len(records) else ""
+            cells.append(interval(values, [record.config.exploration.seed for record in found]) + reached)
         rows.append(cells)
     return markdown(("group", "runs", *measures), rows)
 
@@ -85,13 +86,18 @@ def final_ergodic_measure(record: Record) -> Optional[float]:
     return float(np.mean(late)) if len(late) else None
 
 
-def interval(values: Sequence[float]) -> str:
-    """Return "mean (low to high)" with a bootstrap interval; only the mean of equal values, and a dash of none."""
+def interval(values: Sequence[Optional[float]], seeds: Sequence[object]) -> str:
+    """Return "mean (low to high)" with a bootstrap interval over seeds; only the mean if it has no width; else a dash.
+
+    Args:
+        values: The value of each run.
+        seeds: The seed of each run.
+    """
     if not values:
         return "-"
-    mean = bootstrap_mean(np.array(values)[:, np.newaxis])
-    text = _digits(mean.mean[0])
-    return text if min(values) == max(values) else f"{text} ({_digits(mean.low[0])} to {_digits(mean.high[0])})"
+    mean = bootstrap_mean(np.array(values)[:, np.newaxis], seeds)
+    text, (low,), (high,) = _digits(mean.mean[0]), mean.low, mean.high
+    return f"{text} ({_digits(low)} to {_digits(high)})" if low < high else text
 
 
 def binomial_interval(successes: int, tests: int) -> Tuple[float, float]:
@@ -102,23 +108,29 @@ def binomial_interval(successes: int, tests: int) -> Tuple[float, float]:
 
 
 def mean_table(rows: Rows, group: str, column: str, value: str) -> List[str]:
-    """Return a table of mean values: a line for each group, a column for each value of another key."""
+    """Return a table of mean values over seeds: a line for each group, a column for each value of another key."""
     columns = list(dict.fromkeys(row[column] for row in rows))
     lines = []
     for name in dict.fromkeys(row[group] for row in rows):
-        cells = [[float(r[value]) for r in rows if (r[group], r[column]) == (name, at)] for at in columns]
-        lines.append([name, *(interval(found) for found in cells)])
+        cells = [[row for row in rows if (row[group], row[column]) == (name, at)] for at in columns]
+        lines.append([name, *(row_interval(found, value) for found in cells)])
     return markdown((group, *(f"{column} {at}" for at in columns)), lines)
 
 
+def row_interval(rows: Rows, value: str) -> str:
+    """Return the interval of a value over rows with a seed."""
+    return interval([float(row[value]) for row in rows], [row["seed"] for row in rows])
+
+
 def row_curves(rows: Rows, group: str, x: str, y: str) -> List[Curve]:
-    """Return a curve for each group: means with 95 % intervals over the rows with the same x."""
+    """Return a curve for each group: means with 95 % intervals over the seeds of the rows with the same x."""
     curves = []
     for name in dict.fromkeys(row[group] for row in rows):
         members = [row for row in rows if row[group] == name]
         places = sorted({float(row[x]) for row in members})
+        at = [[row for row in members if float(row[x]) == place] for place in places]
         means = [
-            bootstrap_mean(np.array([[float(row[y])] for row in members if float(row[x]) == place])) for place in places
+            bootstrap_mean(np.array([[float(row[y])] for row in part]), [row["seed"] for row in part]) for part in at
         ]
         mean, low, high = (np.array([getattr(item, part)[0] for item in means]) for part in ("mean", "low", "high"))
         curves.append(Curve(name, np.array(places), mean, low, high))

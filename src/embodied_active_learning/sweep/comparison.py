@@ -1,4 +1,8 @@
-"""Statistics over the seeds of runs: means and bootstrap intervals of all columns of their tables."""
+"""Statistics over the seeds of runs: means and bootstrap intervals of all columns of their tables.
+
+Runs of one seed in several worlds are not independent: explorers that do not use the model move alike in all of them.
+They are averaged first, and seeds are resampled.
+"""
 
 from __future__ import annotations
 
@@ -23,27 +27,29 @@ _SEED = 0
 
 
 class Mean(NamedTuple):
-    """Means over runs and the ends of their bootstrap intervals, (N,) each; the interval of one run is NaN."""
+    """Means over seeds and the ends of their bootstrap intervals, (N,) each; the interval of one seed is NaN."""
 
     mean: np.ndarray
     low: np.ndarray
     high: np.ndarray
 
 
-def bootstrap_mean(values: np.ndarray) -> Mean:
-    """Return the mean over runs with percentile bootstrap intervals.
+def bootstrap_mean(values: np.ndarray, seeds: Sequence[object]) -> Mean:
+    """Return the mean over seeds, of the mean over the runs of each, with percentile bootstrap intervals.
 
     Args:
         values: (R, N) one row per run, without NaN.
+        seeds: The seed of each of the R runs.
     """
-    values = np.asarray(values, dtype=float)
-    if len(values) == 1:
+    values, names = np.asarray(values, dtype=float), list(dict.fromkeys(seeds))
+    means = np.array([values[[seed == name for seed in seeds]].mean(axis=0) for name in names])
+    if len(means) == 1:
         unknown = np.full(values.shape[1], np.nan)
-        return Mean(values[0], unknown, unknown)
-    chosen = np.random.default_rng(_SEED).integers(len(values), size=(RESAMPLES, len(values)))
-    means = values[chosen].mean(axis=1)
-    low, high = np.quantile(means, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], axis=0)
-    return Mean(values.mean(axis=0), low, high)
+        return Mean(means[0], unknown, unknown)
+    chosen = np.random.default_rng(_SEED).integers(len(means), size=(RESAMPLES, len(means)))
+    resampled = means[chosen].mean(axis=1)
+    low, high = np.quantile(resampled, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], axis=0)
+    return Mean(means.mean(axis=0), low, high)
 
 
 def load_records(folders: Sequence[Path]) -> List[Record]:
@@ -95,15 +101,16 @@ def comparison_rows(curves: Mapping[Tuple[str, str], Sequence[Curve]]) -> Iterat
 
 
 def _curve(name: str, records: Sequence[Record], table: str, column: str) -> Curve:
-    """Return the mean of a column over the runs of a group, on a common axis."""
-    series = [_finite(record.tables[table], COLUMNS[table][0], column) for record in records]
-    series = [(x, y) for x, y in series if len(x)]
-    label = f"{name} (n = {len(series)})"
+    """Return the mean of a column over the seeds of a group, on a common axis; n is the number of seeds."""
+    found = [_finite(record.tables[table], COLUMNS[table][0], column) for record in records]
+    series = [(x, y) for x, y in found if len(x)]
+    seeds = [record.config.exploration.seed for record, (x, _) in zip(records, found) if len(x)]
+    label = f"{name} (n = {len(set(seeds))})"
     if not series:
         empty = np.empty(0)
         return Curve(label, empty, empty, empty, empty)
     axis = np.linspace(max(x[0] for x, _ in series), min(x[-1] for x, _ in series), POINTS)
-    return Curve(label, axis, *bootstrap_mean(np.array([np.interp(axis, x, y) for x, y in series])))
+    return Curve(label, axis, *bootstrap_mean(np.array([np.interp(axis, x, y) for x, y in series]), seeds))
 
 
 def _finite(table: Mapping[str, np.ndarray], axis: str, column: str) -> Tuple[np.ndarray, np.ndarray]:
