@@ -135,7 +135,7 @@ def make_set(config: Config, seed: int = 0) -> FingerprintSet:
         name, latents = f"{kind}-{number + 1}", model.encode(states, images)
         fingerprints.append(Fingerprint(name, kind, np.array(centre), states, images, *latents, 0.0))
     calibrated = [
-        replace(item, calibration=calibrate(Appearance(item, fingerprints, config.camera), SETTINGS.trials))
+        replace(item, calibration=calibrate(Appearance(item, fingerprints, config.camera), config.fingerprint.trials))
         if item.kind == OBJECT
         else item
         for item in fingerprints

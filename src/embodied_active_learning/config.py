@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Dict, Optional, Tuple
 
+from embodied_active_learning.config_versions import CONFIG_VERSION, upgrade
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.hardware_config import (
@@ -202,6 +203,7 @@ class FingerprintConfig:
         0.012, "views closer than this, and than min_view_turn, are duplicates", "m", 0.0, 0.1
     )
     min_view_turn: float = setting(0.8, "smallest yaw between two views at one place", "rad", 0.0, 3.0)
+    trials: int = setting(39, "simulated places and look-alikes from which a fingerprint sets its limits", "", 1, 10000)
 
 
 @dataclass(frozen=True)
@@ -249,9 +251,6 @@ class IdentificationConfig:
     min_belief: float = setting(0.5, "smallest mean belief of an object found by decision: belief", "", 0.0, 1.0)
     error_rate: float = setting(
         0.05, "accepted rate of errors: objects missed, and look-alikes taken for the object", "", 0.001, 0.5
-    )
-    trials: int = setting(
-        39, "simulated places and look-alikes from which a fingerprint sets its limits when it is made", "", 1, 10000
     )
     view_distance: float = setting(0.045, "largest distance of a compared view from the candidate", "m", 0.005, 0.5)
     views: int = setting(5, "largest number of compared views of a candidate", "", 3, 1000)
@@ -345,6 +344,11 @@ class Config:
         """Build a configuration from sections of keys. Raises ConfigError naming subject, key and legal values."""
         return build(cls, values, subject)
 
+    @classmethod
+    def from_stored(cls, values: Any, version: int) -> Config:
+        """Build a configuration that was stored by this version or an older one. Raises ConfigError."""
+        return cls.from_dict(upgrade(values, version))
+
     def to_dict(self) -> Dict[str, Any]:
         """Return sections of keys as plain data; tuples become lists."""
         return to_plain(self)
@@ -358,9 +362,13 @@ class Config:
 
 
 def load_profile(path: Path) -> Dict[str, Any]:
-    """Read the sections of keys that a YAML profile sets. Raises ConfigError naming the file and the key."""
+    """Read the sections of keys that a YAML profile sets. Raises ConfigError naming the file and the key.
+
+    Profiles state no version: keys that the newest version renamed are read too.
+    """
     values = _PROFILE_READER.read_yaml(Path(path))
-    return check_keys(Config, {name: {} if keys is None else keys for name, keys in values.items()}, path)
+    sections = {name: {} if keys is None else keys for name, keys in values.items()}
+    return check_keys(Config, upgrade(sections, CONFIG_VERSION - 1), path)
 
 
 def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from typing import Any, Dict, Mapping, Optional
 
-from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
 
-CONFIG_VERSION = 5
+CONFIG_VERSION = 6
 FIRST_BAG_VERSION = 2
 """Version of the configuration in bags that do not state one."""
 
@@ -29,26 +28,25 @@ _RENAMED: Mapping[int, Mapping[str, Optional[str]]] = {
         "identification/min_views": None,
     },
     5: {"training/active_unit_threshold": None},
+    6: {"identification/trials": "fingerprint/trials"},
 }
 """Version -> old key -> its name since that version, or None if it was removed."""
 
 
-def stored_config(values: Any, version: int) -> Config:
-    """Build a configuration that was stored by this version or an older one.
+def upgrade(values: Any, version: int) -> Any:
+    """Return sections of keys that a version stored, with today's names; anything but sections is returned as it is.
 
     Raises:
-        ConfigError: The version is unknown, or a key is not legal.
+        ConfigError: The version is unknown.
     """
     if not 1 <= version <= CONFIG_VERSION:
         raise ConfigError(
             f"version {version} of the configuration is unknown: this package reads versions 1 to {CONFIG_VERSION}; "
             "install the version of embodied_active_learning that stored it"
         )
-    return Config.from_dict(_upgrade(values, version) if isinstance(values, dict) else values)
-
-
-def _upgrade(values: Dict[str, Any], version: int) -> Dict[str, Any]:
-    upgraded = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in values.items()}
+    if not isinstance(values, dict):
+        return values
+    upgraded: Dict[Any, Any] = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in values.items()}
     for since in range(version + 1, CONFIG_VERSION + 1):
         for old, new in _RENAMED.get(since, {}).items():
             section, _, key = old.partition("/")

@@ -41,7 +41,8 @@ VALUES = {
     "model": {"latent_size": 2, "hidden_sizes": [4], "channels": [2], "kernels": [3], "strides": [3]},
     "training": {"batch_size": 2, "first_update_at": 2},
     "exploration": {"steps": OBSERVATIONS, "samples": 20, "fresh_samples": 2},
-    "identification": {"cells": [4, 4, 4], "trials": 3},
+    "fingerprint": {"trials": 3},
+    "identification": {"cells": [4, 4, 4]},
 }
 
 

@@ -22,7 +22,8 @@ from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.similarity import nearest_stored_views, similarity
 from painted_table import Thing, learn, paint, random_states
 
-SETTINGS = IdentificationConfig(trials=19)
+SETTINGS = IdentificationConfig()
+TRIALS = 19
 RED, BLUE = Thing(0, (0.40, -0.07, 0.6)), Thing(1, (0.54, 0.06, -1.0))
 LEARNED = learn((RED, BLUE), (0.36, 0.12))
 CAMERA, WORKSPACE = LEARNED.config.camera, LEARNED.config.workspace.box()
@@ -143,9 +144,9 @@ def test_search_follows_a_start_that_is_not_the_best_one(appearance, views):
 
 
 def test_true_views_exceed_most_look_alikes(appearance):
-    limits = calibrate(appearance, SETTINGS.trials)
+    limits = calibrate(appearance, TRIALS)
     assert np.median(limits.true) > np.quantile(limits.false, 0.75)
-    np.testing.assert_array_equal(limits.true, calibrate(appearance, SETTINGS.trials).true)
+    np.testing.assert_array_equal(limits.true, calibrate(appearance, TRIALS).true)
 
 
 def test_fingerprints_are_calibrated_by_draws_of_their_own(appearance):

@@ -10,7 +10,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from embodied_active_learning.config import CameraConfig, IdentificationConfig
+from embodied_active_learning.config import CameraConfig, FingerprintConfig, IdentificationConfig
 from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects import identification, scene_views, search_target
@@ -25,7 +25,6 @@ from painted_table import KINDS, TABLE, PaintedModel, Thing, learn, paint, rando
 SETTINGS = IdentificationConfig(
     cells=(20, 20, 12),
     candidates=4,
-    trials=39,
     separation=0.06,
     min_belief=0.5,
 )
@@ -112,6 +111,14 @@ def assert_not_found(decisions):
 def test_moved_and_turned_objects_are_found():
     assert_found(of(decide(), "object-1"), [HERE])
     assert_found(of(decide(), "object-2"), [THERE])
+
+
+@pytest.mark.parametrize(("trials", "enough"), [(4, False), (9, True)])
+def test_small_error_rate_needs_trials_of_the_fingerprint(trials, enough):
+    made = replace(LEARNED, config=replace(LEARNED.config, fingerprint=FingerprintConfig(trials=trials)))
+    problem = make_identification((made,), replace(SETTINGS, error_rate=0.1)).targets[0].problem
+    assert (problem == "") is enough
+    assert enough or "from 0.2 on, not 0.1: raise fingerprint/trials and call /fingerprint again" in problem
 
 
 def test_decision_reports_evidence_and_reason():

@@ -1,13 +1,15 @@
-"""Fingerprinting of sessions without a model or without objects."""
+"""Fingerprinting: sessions without a model or without objects, and the settings that are used."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.session.session import Session
+from painted_table import Thing, learn
 
 
 def test_fingerprinting_without_model_raises(tmp_path):
@@ -37,3 +39,11 @@ def test_summary_counts_prints_that_clustering_leaves_out():
     assert run.summary.endswith("; skipped 2 in the plane of the table (to keep them: fingerprint/prints)")
     run._config = Config.from_dict({"fingerprint": {"clustering": "camera"}})
     assert "skipped" not in run.summary
+
+
+def test_given_trials_are_simulated_instead_of_the_sessions():
+    learned = learn((Thing(0, (0.40, -0.07, 0.6)),), (0.36, 0.12))
+    run = FingerprintRun.__new__(FingerprintRun)
+    run._config = replace(learned.config, fingerprint=FingerprintConfig(trials=5))
+    found = run._calibrated(learned.fingerprints[0], learned.fingerprints)
+    assert len(found.calibration.true) == len(found.calibration.false) == 5

@@ -10,6 +10,6 @@ TINY: Dict[str, Dict[str, Any]] = {
     "model": {"latent_size": 2, "hidden_sizes": [8], "channels": [2], "kernels": [3], "strides": [3]},
     "training": {"batch_size": 8, "first_update_at": 8, "evaluate_every": 8, "evaluation_size": 8, "device": "cpu"},
     "exploration": {"steps": STEPS, "samples": 50, "fresh_samples": 5},
-    "fingerprint": {"min_contrast": 1.0, "views": 3, "samples": 60, "min_share": 0.0, "view_box": 0.1},
-    "identification": {"cells": [4, 4, 4], "trials": 3},
+    "fingerprint": {"min_contrast": 1.0, "views": 3, "samples": 60, "min_share": 0.0, "view_box": 0.1, "trials": 3},
+    "identification": {"cells": [4, 4, 4]},
 }

@@ -71,7 +71,7 @@ class SearchTarget:
         if rate >= smallest:
             return ""
         return (
-            f"its limits hold for error rates from {smallest:.3g} on, not {rate:g}: raise identification/trials and "
+            f"its limits hold for error rates from {smallest:.3g} on, not {rate:g}: raise fingerprint/trials and "
             "call /fingerprint again"
         )
 
@@ -83,7 +83,7 @@ class SearchTarget:
     @cached_property
     def calibration(self) -> Calibration:
         """The stored calibration; without one it is computed when it is first needed, which takes a second."""
-        return self.fingerprint.calibration or calibrate(self.appearance, self._settings.trials)
+        return self.fingerprint.calibration or calibrate(self.appearance, self._set.config.fingerprint.trials)
 
     @cached_property
     def bare_table(self) -> BareTable:

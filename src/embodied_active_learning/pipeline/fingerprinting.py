@@ -156,4 +156,4 @@ class FingerprintRun:
         if appearance.problem:
             LOG.warning("%s will not be recognised elsewhere: %s", fingerprint.name, appearance.problem)
             return fingerprint
-        return replace(fingerprint, calibration=calibrate(appearance, self._config.identification.trials))
+        return replace(fingerprint, calibration=calibrate(appearance, self._config.fingerprint.trials))

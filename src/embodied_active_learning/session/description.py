@@ -9,7 +9,7 @@ from typing import Any, List
 
 from embodied_active_learning import __version__
 from embodied_active_learning.config import Config
-from embodied_active_learning.config_versions import CONFIG_VERSION, stored_config
+from embodied_active_learning.config_versions import CONFIG_VERSION
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.schema import build, settings, to_plain
@@ -46,7 +46,7 @@ def read_description(path: Path) -> Config:
     content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
     found = build(_Description, content, path, CorruptFileError, _READER.remedy)
     try:
-        return stored_config(found.config, found.version)
+        return Config.from_stored(found.config, found.version)
     except ConfigError as error:
         raise CorruptFileError(
             f"{path}: {error}; the session was written by embodied_active_learning {found.package_version}: open it "

@@ -7,7 +7,7 @@ from typing import Any, Dict
 import yaml
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.config_versions import CONFIG_VERSION, FIRST_BAG_VERSION, stored_config
+from embodied_active_learning.config_versions import CONFIG_VERSION, FIRST_BAG_VERSION
 from embodied_active_learning.files import MAX_YAML_SIZE, parse_yaml, short_repr
 
 
@@ -28,6 +28,6 @@ def read_settings(text: str) -> Dict[str, Any]:
     version = stored.pop("version", FIRST_BAG_VERSION) if isinstance(stored, dict) else FIRST_BAG_VERSION
     if type(version) is not int:
         raise ValueError(f"version is {short_repr(version)}: expected a whole number")
-    values = stored_config(stored, version).to_dict()
+    values = Config.from_stored(stored, version).to_dict()
     values.pop("session")
     return values
