@@ -28,7 +28,7 @@ from embodied_active_learning.evaluation.result_tables import (
 )
 from embodied_active_learning.evaluation.table1 import RULES, table_lines
 from embodied_active_learning.figures.curves import draw_curves
-from embodied_active_learning.sweep.comparison import compare_columns, group_records
+from embodied_active_learning.sweep.comparison import clustering_settings, compare_columns, group_records
 from embodied_active_learning.sweep.csv_files import read_rows
 from embodied_active_learning.sweep.record_figures import draw_record_metrics
 from embodied_active_learning.sweep.run_records import Record, has_record, load_record
@@ -59,7 +59,9 @@ def main() -> None:
         sweep = draw_runs.__name__
         records = records_of(sweep)
         lines = draw_runs(records) if records else []
-        replace_block(PAGE, sweep, [missing(sweep, records), *lines])
+        replace_block(
+            PAGE, sweep, [" ".join(filter(None, [missing(sweep, records), clustering_settings(records)])), *lines]
+        )
 
 
 def learning_metrics(records: List[Record]) -> List[str]:

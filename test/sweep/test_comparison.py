@@ -1,16 +1,24 @@
 """Means and intervals over the seeds of runs."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.sweep import compare_sessions
 from embodied_active_learning.sweep.compare_sessions import main
-from embodied_active_learning.sweep.comparison import bootstrap_mean, compare_columns, group_records, load_records
+from embodied_active_learning.sweep.comparison import (
+    bootstrap_mean,
+    clustering_settings,
+    compare_columns,
+    group_records,
+    load_records,
+)
 from embodied_active_learning.sweep.csv_files import read_rows, write_rows
 from embodied_active_learning.sweep.record_figures import render_top_view
 from embodied_active_learning.sweep.run_records import load_record, write_record
@@ -61,6 +69,16 @@ def test_columns_are_averaged_per_group():
 def test_runs_are_compared_up_to_the_shortest():
     groups = {"all": [make_record("a", "ergodic", 1.0, 100), make_record("b", "ergodic", 1.0, 50)]}
     assert compare_columns(groups)["training", "loss"][0].x[-1] == 50.0
+
+
+def test_clustering_settings_that_differ_are_named():
+    assert clustering_settings(RECORDS) == ""
+    config = Config.from_dict({"fingerprint": {"min_share": 0.05}})
+    changed = replace(RECORDS[0], config=config)
+    setting = "Objects were clustered with `fingerprint/min_share`"
+    assert clustering_settings([changed, changed]) == f"{setting} 0.05 (default 0.02)."
+    both = "0.05 (1 of 3 runs), 0.02 (2 of 3 runs)"
+    assert clustering_settings([changed, *RECORDS[1:]]) == f"{setting} {both} (default 0.02)."
 
 
 def test_unknown_key_is_refused():

@@ -75,6 +75,13 @@ def test_differences_include_clustering_of_runs_that_stop_when_stable(tmp_path):
     assert differences(stored, changed) == ["fingerprint/bandwidth is 0.06 but was 0.045"]
 
 
+def test_differences_include_identification_for_the_active_explorer(tmp_path):
+    text = SPEC.replace("steps: 300", "steps: 300, explorer: active")
+    stored = load(tmp_path, text).runs[0].config()
+    changed = load(tmp_path, text.replace("active", "active}, identification: {margin: 0.03")).runs[0].config()
+    assert differences(stored, changed) == ["identification/margin is 0.03 but was 0.0225"]
+
+
 def test_differences_ignore_what_depends_on_the_computer(tmp_path):
     run = load(tmp_path, SPEC).runs[0]
     sections = run.config().to_dict()

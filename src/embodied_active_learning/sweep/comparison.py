@@ -23,6 +23,9 @@ POINTS = 50
 RESAMPLES = 2000
 LEVEL = 0.95
 _NOT_COMPARED = ("time", "x", "y", "theta", "observations")
+_NOT_CLUSTERING = ("views", "view_std", "view_yaw_std", "view_box", "steps_per_view", "min_view_distance",
+                   "min_view_turn", "trials")  # fmt: skip
+"""Settings of section fingerprint that matter only after clustering."""
 _SEED = 0
 
 
@@ -78,6 +81,20 @@ def group_records(records: Sequence[Record], key: str) -> Dict[str, List[Record]
         value = record.variant if key == "variant" else record.config.portable()[section][name]
         groups.setdefault(str(value), []).append(record)
     return groups
+
+
+def clustering_settings(records: Sequence[Record]) -> str:
+    """Return a sentence with each clustering setting that differs from the default or among runs, or nothing."""
+    sections = [record.config.to_dict()["fingerprint"] for record in records]
+    parts = []
+    for key, default in Config().to_dict()["fingerprint"].items():
+        values = [str(section[key]) for section in sections]
+        if set(values) - {str(default)} and key not in _NOT_CLUSTERING:
+            runs = ", ".join(
+                f"{value} ({values.count(value)} of {len(values)} runs)" for value in dict.fromkeys(values)
+            )
+            parts.append(f"`fingerprint/{key}` {runs if len(set(values)) > 1 else values[0]} (default {default})")
+    return f"Objects were clustered with {', '.join(parts)}." if parts else ""
 
 
 def compare_columns(groups: Mapping[str, Sequence[Record]]) -> Dict[Tuple[str, str], List[Curve]]:

@@ -113,12 +113,15 @@ def load_sweep(path: Path) -> Sweep:
 def differences(stored: Config, wanted: Config) -> List[str]:
     """Return the settings that influence a run in which two runs differ, as "section/key is 1 but was 2".
 
-    Clustering (section fingerprint) influences a run that ends once its objects are stable.
+    Clustering (section fingerprint) influences a run that ends once its objects are stable, and section identification
+    the plans of the active explorer.
     """
     before, after = stored.portable(), wanted.portable()
     ignored = dict(_NOT_COMPARED)
     if wanted.may_stop_early:
         del ignored["fingerprint"]
+    if wanted.exploration.explorer == "active":
+        del ignored["identification"]
     return [
         f"{section}/{key} is {after[section][key]!r} but was {value!r}"
         for section, keys in before.items()
