@@ -5,7 +5,6 @@ import pytest
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.evaluation.result_tables import (
-    first_below,
     group_table,
     interval,
     last_value,
@@ -13,6 +12,7 @@ from embodied_active_learning.evaluation.result_tables import (
     replace_block,
     row_curves,
     run_table,
+    stays_below,
     summary_value,
 )
 from launching import ROOT
@@ -59,9 +59,16 @@ def test_run_table_shows_the_end_of_a_run():
 def test_group_table_states_how_many_runs_have_a_value():
     """The columns rise from 0.01 to 1 and from 0.03 to 3 in 100 steps."""
     groups = {"a": [make_record("a", "ergodic", 1.0), make_record("b", "ergodic", 3.0, seed=1)]}
-    measures = {"first": first_below("exploration", "coverage", 0.025), "last": last_value("evaluation", "mse_own")}
+    measures = {"below": stays_below("exploration", "coverage", 2.0), "last": last_value("evaluation", "mse_own")}
     assert group_table(groups, measures)[-1] == "| a | 2 | 1; 1 of 2 runs | 2 (1 to 3) |"
     assert group_table(groups, {"distance": summary_value("distance")})[-1] == "| a | 2 | - |"
+
+
+@pytest.mark.parametrize(("values", "step"), [([3, 1, 3, 1, 1], 4.0), ([1, 1, 1, 1, 1], 1.0), ([1, 1, 1, 1, 2], None)])
+def test_first_step_from_which_a_column_stays_below_a_limit(values, step):
+    record = make_record("a", "ergodic", 1.0, steps=5)
+    record.tables["exploration"]["ergodic_measure"] = np.array(values)
+    assert stays_below("exploration", "ergodic_measure", 2.0)(record) == step
 
 
 def test_last_value_that_is_not_a_number_counts_as_missing():

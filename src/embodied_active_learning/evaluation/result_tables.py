@@ -69,12 +69,13 @@ def last_value(table: str, column: str) -> Measure:
     return find
 
 
-def first_below(table: str, column: str, limit: float) -> Measure:
-    """Return the measure that is the step or update of the first row with a value below a limit; None without one."""
+def stays_below(table: str, column: str, limit: float) -> Measure:
+    """Return the measure that is the first step or update from which all values are below a limit; None without one."""
 
     def find(record: Record) -> Optional[float]:
-        below = record.tables[table][COLUMNS[table][0]][record.tables[table][column] < limit]
-        return float(below[0]) if len(below) else None
+        above = np.flatnonzero(record.tables[table][column] >= limit)
+        rest = record.tables[table][COLUMNS[table][0]][above[-1] + 1 if len(above) else 0 :]
+        return float(rest[0]) if len(rest) else None
 
     return find
 
