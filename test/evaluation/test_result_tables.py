@@ -19,9 +19,9 @@ from launching import ROOT
 from sample_records import make_record
 
 ROWS = [
+    {"method": "a", "steps": "20", "value": "4.0", "seed": "0"},
     {"method": "a", "steps": "10", "value": "1.0", "seed": "0"},
     {"method": "a", "steps": "10", "value": "3.0", "seed": "1"},
-    {"method": "a", "steps": "20", "value": "4.0", "seed": "0"},
     {"method": "b", "steps": "10", "value": "5.0", "seed": "0"},
 ]
 

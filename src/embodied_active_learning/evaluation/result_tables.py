@@ -109,8 +109,8 @@ def binomial_interval(successes: int, tests: int) -> Tuple[float, float]:
 
 
 def mean_table(rows: Rows, group: str, column: str, value: str) -> List[str]:
-    """Return a table of mean values over seeds: a line for each group, a column for each value of another key."""
-    columns = list(dict.fromkeys(row[column] for row in rows))
+    """Return a table of mean values over seeds: a line for each group, a column for each number of another key."""
+    columns = sorted({row[column] for row in rows}, key=float)
     lines = []
     for name in dict.fromkeys(row[group] for row in rows):
         cells = [[row for row in rows if (row[group], row[column]) == (name, at)] for at in columns]
