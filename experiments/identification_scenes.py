@@ -253,8 +253,8 @@ def _is_fair(row: Dict[str, str]) -> bool:
 def share(rows: Sequence[Dict[str, str]], field: str) -> str:
     """Return a count with the 95 % interval of its share.
 
-    The interval is a bootstrap over sessions; where that has no width, because the share is 0 or 1 in all sessions or
-    there is a single session, it is the exact one of independent rows.
+    The interval is a bootstrap over sessions; where that has no width, because the share is the same in all sessions
+    or there is a single session, it is the exact one of independent rows.
     """
     if not rows:
         return "-"
@@ -262,9 +262,8 @@ def share(rows: Sequence[Dict[str, str]], field: str) -> str:
     values = [[int(row[field]) for row in rows if row["session"] == name] for name in sessions]
     counts = np.array([[sum(part), len(part)] for part in values])
     hits, tests = counts.sum(axis=0)
-    if hits in (0, tests) or len(sessions) == 1:
+    drawn = counts[np.random.default_rng(0).integers(len(sessions), size=(_RESAMPLES, len(sessions)))].sum(axis=1)
+    low, high = np.quantile(drawn[:, 0] / drawn[:, 1], (0.025, 0.975))
+    if low == high:
         low, high = binomial_interval(int(hits), int(tests))
-    else:
-        drawn = counts[np.random.default_rng(0).integers(len(sessions), size=(_RESAMPLES, len(sessions)))].sum(axis=1)
-        low, high = np.quantile(drawn[:, 0] / drawn[:, 1], (0.025, 0.975))
     return f"{hits} / {tests} ({100 * low:.0f}-{100 * high:.0f} %)"
