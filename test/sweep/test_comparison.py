@@ -71,6 +71,12 @@ def test_runs_are_compared_up_to_the_shortest():
     assert compare_columns(groups)["training", "loss"][0].x[-1] == 50.0
 
 
+def test_runs_without_common_rows_have_no_curve():
+    early, late = make_record("a", "ergodic", 1.0, 50), make_record("b", "ergodic", 1.0, 100)
+    late.tables["training"] = {name: values[60:] for name, values in late.tables["training"].items()}
+    assert ("training", "loss") not in compare_columns({"all": [early, late]})
+
+
 def test_clustering_settings_that_differ_are_named():
     assert clustering_settings(RECORDS) == ""
     config = Config.from_dict({"fingerprint": {"min_share": 0.05}})

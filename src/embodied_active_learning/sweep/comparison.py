@@ -123,10 +123,11 @@ def _curve(name: str, records: Sequence[Record], table: str, column: str) -> Cur
     series = [(x, y) for x, y in found if len(x)]
     seeds = [record.config.exploration.seed for record, (x, _) in zip(records, found) if len(x)]
     label = f"{name} (n = {len(set(seeds))})"
-    if not series:
+    start, end = max((x[0] for x, _ in series), default=1.0), min((x[-1] for x, _ in series), default=0.0)
+    if start > end:  # a run ended before another one had its first row
         empty = np.empty(0)
         return Curve(label, empty, empty, empty, empty)
-    axis = np.linspace(max(x[0] for x, _ in series), min(x[-1] for x, _ in series), POINTS)
+    axis = np.linspace(start, end, POINTS)
     return Curve(label, axis, *bootstrap_mean(np.array([np.interp(axis, x, y) for x, y in series]), seeds))
 
 
