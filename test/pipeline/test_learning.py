@@ -98,7 +98,9 @@ def test_interrupted_run_is_resumed(tmp_path):
     summary = read_summary(session.paths.summary)
     assert summary.finished
     assert summary.wall_time > interrupted.wall_time > 0.0
-    assert list(session.read_table("exploration")["step"]) == list(range(1, STEPS + 1))
+    table = session.read_table("exploration")
+    assert list(table["step"]) == list(range(1, STEPS + 1))
+    assert (np.diff(table["time"]) > 0.0).all()
 
 
 def test_training_error_ends_the_run(tmp_path, monkeypatch):

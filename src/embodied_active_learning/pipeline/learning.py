@@ -177,12 +177,12 @@ def _explore(
     rows = session.read_table("exploration")
     effort = float(rows["effort"][-1]) if len(rows["effort"]) else 0.0
     exploration = ExplorationRun(config, run.trajectory, effort)
-    measure = float("nan")
+    measure, elapsed = float("nan"), _last_stamp(session)
     with session.open_table("exploration") as table:
         table.truncate_after("step", len(run.trajectory))
         simulation.execute(first_command(config, run.trajectory))
         while exploration.step < run.config.exploration.steps:
-            stamp, state, velocity = ros_seconds(simulation.time), simulation.pose, simulation.velocity
+            stamp, state, velocity = ros_seconds(elapsed + simulation.time), simulation.pose, simulation.velocity
             run.observe(exploration.step, stamp, state.tolist(), simulation.image())
             exploration.observe(state, velocity)
             metrics = exploration.evaluate_step(training.log_std(exploration.sample_states, exploration.step))
@@ -195,6 +195,13 @@ def _explore(
         training.check()
         time.sleep(_PROGRESS_PERIOD)
         on_progress(_progress(training, measure))
+
+
+def _last_stamp(session: Session) -> float:
+    """Return the simulated time [s] at which the earlier launches of a session ended; 0 in a new one."""
+    with session.open_observations() as store:
+        stamps = store.snapshot().stamps
+    return float(stamps[-1]) if len(stamps) else 0.0
 
 
 def ros_seconds(seconds: float) -> float:
