@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import IdentificationConfig
+from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights, shared_scale
 from embodied_active_learning.workspace import Workspace
 
@@ -56,6 +57,11 @@ def cell_of(grid, x, y, yaw):
 
 def centre_of(grid, index):
     return np.array([grid.x[index[0]], grid.y[index[1]], grid.yaw[index[2]]])
+
+
+def test_grid_without_cell_inside_the_workspace_is_refused():
+    with pytest.raises(ConfigError, match=r"no cell of the belief grid.*use more cells or a smaller margin"):
+        make_grid(cells=(4, 4, 4), margin=0.5)
 
 
 def textbook(grid, prior_mean, prior_variance, pose, value, settings_=SETTINGS, weight=1.0):

@@ -14,6 +14,7 @@ import torch
 from scipy.ndimage import maximum_filter
 
 from embodied_active_learning.config import COUNTED, IdentificationConfig
+from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.geometry import wrap
 from embodied_active_learning.workspace import Workspace
 
@@ -48,14 +49,24 @@ class BeliefGrid:
     """
 
     def __init__(self, workspace: Workspace, settings: IdentificationConfig) -> None:
-        """Create a grid over the workspace and its margin [m] at the prior: mean 0.5, variance 2."""
+        """Create a grid over the workspace and its margin [m] at the prior: mean 0.5, variance 2.
+
+        Raises:
+            ConfigError: No cell lies inside the workspace.
+        """
         self._settings = settings
         nx, ny, nyaw = settings.cells
         lower, upper = (np.asarray(limit[:2]) for limit in (workspace.lower, workspace.upper))
         self.x = np.linspace(lower[0] - settings.margin, upper[0] + settings.margin, nx)
         self.y = np.linspace(lower[1] - settings.margin, upper[1] + settings.margin, ny)
         self.yaw = (np.arange(nyaw) + 0.5) / nyaw * 2.0 * math.pi - math.pi
-        self._workspace = workspace
+        any_yaw = np.full((nx, ny), workspace.centre[2])
+        self._inside = workspace.contains(np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), any_yaw], -1))
+        if not self._inside.any():
+            raise ConfigError(
+                f"no cell of the belief grid lies inside the workspace: identification/cells is {list(settings.cells)} "
+                f"and identification/margin {settings.margin:g} m; use more cells or a smaller margin"
+            )
         self._information = np.full((nx, ny, nyaw), 1.0 / _PRIOR_VARIANCE)
         self._weighted = self._information * _PRIOR_MEAN
 
@@ -116,12 +127,10 @@ class BeliefGrid:
             most: Largest number of peaks.
         """
         mean = self.mean
-        any_yaw = np.full(mean.shape[:2], self._workspace.centre[2])
-        inside = self._workspace.contains(np.stack([*np.meshgrid(self.x, self.y, indexing="ij"), any_yaw], -1))
-        highest = np.where(inside, mean.max(axis=2), -1.0)
+        highest = np.where(self._inside, mean.max(axis=2), -1.0)
         spacing = (self.x[1] - self.x[0], self.y[1] - self.y[0])
         size = [2 * max(1, int(0.5 * distance / step)) + 1 for step in spacing]
-        rows, columns = np.nonzero((maximum_filter(highest, size) == highest) & inside)
+        rows, columns = np.nonzero((maximum_filter(highest, size) == highest) & self._inside)
         found: List[Peak] = []
         for index in np.argsort(-highest[rows, columns], kind="stable"):
             row, column = rows[index], columns[index]
