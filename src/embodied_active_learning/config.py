@@ -65,9 +65,14 @@ class ModelConfig:
     strides: Tuple[int, ...] = setting((2, 2, 3), "strides of the convolutions", "px", 1, 31, fixed=True)
 
     def __post_init__(self) -> None:
-        """Check that each convolution has filters, a kernel and a stride."""
+        """Check that each convolution has filters, a kernel and a stride, and uses all pixels."""
         if not len(self.channels) == len(self.kernels) == len(self.strides):
             raise ConfigError("channels, kernels and strides differ in length: give one number per convolution")
+        for kernel, stride in zip(self.kernels, self.strides):
+            if stride > kernel:
+                raise ConfigError(
+                    f"stride {stride} is larger than kernel {kernel}: the convolution skips pixels; use a smaller one"
+                )
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
         ({"training": {"batch_size": 100}}, "training/batch_size is larger than training/first_update_at"),
         ({"training": None}, "section training is None: expected keys and values"),
         ({"model": {"channels": [10]}}, "model: channels, kernels and strides differ in length"),
+        ({"model": {"kernels": [1, 3, 5]}}, "model: stride 2 is larger than kernel 1: the convolution skips pixels"),
         (["training"], "the content is ['training']: expected keys and values"),
     ],
 )

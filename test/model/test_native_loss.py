@@ -23,10 +23,8 @@ GEOMETRIES = [
     ((45, 45), ModelConfig()),
     ((52, 37), ModelConfig(hidden_sizes=(40,))),
     ((44, 61), ModelConfig(channels=(4, 6), kernels=(4, 3), strides=(3, 3))),
-    ((44, 61), ModelConfig(channels=(4, 6, 5), kernels=(2, 5, 3), strides=(3, 3, 1))),
+    ((44, 61), ModelConfig(channels=(4, 6, 5), kernels=(3, 5, 3), strides=(3, 3, 1))),
     ((30, 41), ModelConfig(channels=(4,), kernels=(5,), strides=(2,))),
-    ((16, 16), ModelConfig(channels=(4,), kernels=(1,), strides=(4,))),
-    ((44, 44), ModelConfig(channels=(4, 6), kernels=(1, 3), strides=(2, 2))),
     ((48, 47), ModelConfig(channels=(7, 11), kernels=(3, 5), strides=(2, 3))),
     ((41, 43), ModelConfig(channels=(9, 4), kernels=(5, 3), strides=(3, 2))),
     ((9, 7), ModelConfig(channels=(2, 3), kernels=(3, 3), strides=(2, 2))),
@@ -85,12 +83,13 @@ def test_native_gradients_match_reference_at_180_pixels():
 @needs_kernels
 @settings(max_examples=20)
 @given(
-    kernel=st.integers(1, 5),
     stride=st.integers(1, 4),
+    overlap=st.integers(0, 3),
     inner=st.tuples(st.integers(1, 6), st.integers(1, 9)),
     data=st.data(),
 )
-def test_native_convolutions_match_torch_for_any_geometry(kernel, stride, inner, data):
+def test_native_convolutions_match_torch_for_any_geometry(stride, overlap, inner, data):
+    kernel = stride + overlap
     rest = data.draw(st.tuples(st.integers(0, stride - 1), st.integers(0, stride - 1)))
     image_size = tuple((few - 1) * stride + kernel + more for few, more in zip(inner, rest))
     config = ModelConfig(channels=(6,), kernels=(kernel,), strides=(stride,), hidden_sizes=(8,))

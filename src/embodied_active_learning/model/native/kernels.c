@@ -187,10 +187,8 @@ static int fused_decoder_backward(const feature_map *inner, const conv_layer *fi
                                   decoder_gradients *result) {
     const feature_map *shape = second ? middle_shape : inner;
     feature_map image_size = image_shape(g);
-    /* A kernel smaller than its stride leaves rows between the strips and behind the last one. */
-    int overlap = first->kernel > first->stride ? first->kernel : first->stride;
     int middle_rows = ((STRIP - 1) * first->stride + first->kernel - 1) / first->stride + WIDE_STRIP;
-    feature_map image = ring_buffer(&image_size, STRIP * first->stride + overlap - 1);
+    feature_map image = ring_buffer(&image_size, STRIP * first->stride + first->kernel - 1);
     feature_map middle = second ? ring_buffer(shape, middle_rows) : *inner;
     feature_map gradient = second ? ring_buffer(shape, STRIP + second->kernel + second->stride) : *result->gradient;
     long first_count = weight_count(shape, &image, first), second_count = second ? weight_count(inner, shape, second) : 0;
