@@ -22,6 +22,7 @@ from embodied_active_learning.session.description import write_description
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
+from embodied_active_learning.sweep.run_records import load_record
 from tiny import STEPS, TINY
 
 
@@ -94,6 +95,8 @@ def test_interrupted_run_is_resumed(tmp_path):
         learn(tiny(tmp_path), interrupt)
     interrupted = read_summary(tmp_path / "run" / "summary.yaml")
     assert (interrupted.finished, interrupted.steps) == (False, 15)
+    recorded = load_record(tmp_path / "run").summary
+    assert (recorded.finished, recorded.wall_time) == (False, interrupted.wall_time)
     session = learn(eal.load_config("", root=str(tmp_path), name="run", resume=True))
     summary = read_summary(session.paths.summary)
     assert summary.finished

@@ -81,7 +81,10 @@ def stays_below(table: str, column: str, limit: float) -> Measure:
 
 
 def final_ergodic_measure(record: Record) -> Optional[float]:
-    """Return the mean of the ergodic measure over the last 50 steps; None if there is no row of them."""
+    """Return the mean of the ergodic measure over the rows of the last 50 steps; None without one.
+
+    A record holds at most 300 rows, so that these are every tenth of 3000 steps.
+    """
     table = record.tables["exploration"]
     late = table["ergodic_measure"][table["step"] > record.summary.steps - _LAST_STEPS]
     return float(np.mean(late)) if len(late) else None

@@ -26,8 +26,9 @@ class Decision:
             that show the table less clearly.
         error_rate: The rate of missed objects and of accepted look-alikes that the limits were set for.
         residual: Share of the object that the views at the pose do not show, 1 minus the similarity; infinite without
-            a comparison.
-        views: Number of views compared.
+            a comparison of at least three views from near the pose.
+        views: Number of views from near the pose that were compared. With fewer than three, more distant ones were
+            compared too, which are not counted.
         belief_mean: Mean belief at the pose, 0 to 1.
         belief_std: Standard deviation of that belief.
         reason: One sentence for people.

@@ -27,7 +27,7 @@ from embodied_active_learning.schema import build, to_plain
 from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
 from embodied_active_learning.session.conclusion import summarise
 from embodied_active_learning.session.session import Session
-from embodied_active_learning.session.summary import Summary
+from embodied_active_learning.session.summary import Summary, readable_summary
 from embodied_active_learning.session.tables import COLUMNS, read_table
 from embodied_active_learning.simulation.truth import true_objects
 from embodied_active_learning.subsampling import spread_indices
@@ -155,11 +155,13 @@ def load_record(folder: Path) -> Record:
     path = folder / RECORD_FILE
     if not path.is_file():
         session = Session.open_read_only(folder)
+        stored = readable_summary(session.paths.summary)
+        finished, wall_time = (stored.finished, stored.wall_time) if stored else (False, 0.0)
         return Record(
             name=session.name,
             variant="",
             config=session.config,
-            summary=summarise(session, finished=True, wall_time=0.0),
+            summary=summarise(session, finished, wall_time),
             tables={name: session.read_table(name) for name in COLUMNS},
         )
     content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
