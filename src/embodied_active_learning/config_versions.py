@@ -56,5 +56,7 @@ def upgrade(values: Any, version: int) -> Any:
             value = keys.pop(key)
             if new is not None:
                 section, _, key = new.partition("/")
-                upgraded.setdefault(section, {})[key] = value
+                target = upgraded.setdefault(section, {})
+                if isinstance(target, dict):  # else it is reported when the configuration is built
+                    target.setdefault(key, value)
     return upgraded

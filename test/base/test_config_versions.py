@@ -31,6 +31,16 @@ def test_trials_of_an_older_version_move_to_the_fingerprint(tmp_path):
     assert load_profile(profile) == {"identification": {}, "fingerprint": {"trials": 99}}
 
 
+def test_new_key_wins_over_the_old_one():
+    values = {"identification": {"trials": 39}, "fingerprint": {"trials": 99}}
+    assert Config.from_stored(values, 5).fingerprint.trials == 99
+
+
+def test_invalid_section_is_refused_also_if_a_key_moves_there():
+    with pytest.raises(ConfigError, match="fingerprint"):
+        Config.from_stored({"identification": {"trials": 39}, "fingerprint": 3}, 5)
+
+
 def test_current_version_refuses_old_keys():
     with pytest.raises(ConfigError, match="unknown key identification/min_rise"):
         Config.from_stored({"identification": {"min_rise": 0.02}}, CONFIG_VERSION)

@@ -64,7 +64,16 @@ def test_group_table_states_how_many_runs_have_a_value():
     assert group_table(groups, {"distance": summary_value("distance")})[-1] == "| a | 2 | - |"
 
 
-@pytest.mark.parametrize(("values", "step"), [([3, 1, 3, 1, 1], 4.0), ([1, 1, 1, 1, 1], 1.0), ([1, 1, 1, 1, 2], None)])
+@pytest.mark.parametrize(
+    ("values", "step"),
+    [
+        ([3, 1, 3, 1, 1], 4.0),
+        ([1, 1, 1, 1, 1], 1.0),
+        ([1, 1, 1, 1, 2], None),
+        ([1, 3, 3, 3, 1], None),  # by chance
+        ([np.nan] * 5, None),
+    ],
+)
 def test_first_step_from_which_a_column_stays_below_a_limit(values, step):
     record = make_record("a", "ergodic", 1.0, steps=5)
     record.tables["exploration"]["ergodic_measure"] = np.array(values)

@@ -46,12 +46,3 @@ def test_open_place_outside_is_viewed_from_nearest_state():
 def test_target_is_uniform_without_open_decisions():
     _, target = target_of(visited=everywhere())
     np.testing.assert_allclose(target, 1.0 / len(target))
-
-
-def test_restored_explorer_looks_at_the_same_places():
-    samples = WorkspaceSamples(CONFIG, np.empty((0, 3)))
-    samples.refresh()
-    explorer, restored = ActiveExplorer(CONFIG, 0), ActiveExplorer(CONFIG, 1)
-    explorer.set_open_places(np.array([CORNER]))
-    restored.load_state_dict(explorer.state_dict())
-    np.testing.assert_array_equal(restored.target(samples), explorer.target(samples))

@@ -35,5 +35,5 @@ def test_noise_level_is_measured(std):
 
 def test_edges_are_not_taken_for_noise():
     image = noisy(YELLOW, 0.0)
-    image[:, ::9] = 255
+    image[::9, ::7] = 255
     assert noise_level(image) == 0.0

@@ -89,6 +89,18 @@ def test_replay_is_refused_beside_a_running_system(master, capfd, node):
     assert "end robot.launch before it" in output
 
 
+def test_remedy_beside_a_running_arm_is_accepted_by_the_launch(master, capfd, tmp_path):
+    """robot.launch itself takes no bringup:=none."""
+    master.running.add("/franka_arm")
+    for name, arguments, has_remedy in (
+        ("learn", {"robot": "franka", "session_root": tmp_path}, True),
+        ("robot", {"bringup": "nodes"}, False),
+    ):
+        with pytest.raises(XmlParseException):
+            load(name, **arguments)
+        assert ("use bringup:=none" in capfd.readouterr().err) == has_remedy
+
+
 def test_simulated_arm_is_refused_beside_a_real_one(master, capfd, tmp_path):
     """It would take over /arm/stop."""
     master.running.add("/franka_arm")
@@ -103,4 +115,4 @@ def test_fingerprinting_is_refused_beside_an_identification(master, capfd):
         load("fingerprint", session="a", views_from="stored")
     output = capfd.readouterr().err
     assert "node /identifier is already running" in output
-    assert "use bringup:=none" in output
+    assert "bringup:=none" not in output

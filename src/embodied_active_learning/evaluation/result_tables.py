@@ -14,11 +14,13 @@ from embodied_active_learning.files import FileReader
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.session.atomic import write_text
 from embodied_active_learning.session.tables import COLUMNS
-from embodied_active_learning.sweep.comparison import bootstrap_mean
+from embodied_active_learning.sweep.comparison import bootstrap_mean, seed_of
 from embodied_active_learning.sweep.run_records import Record
 
 _READER = FileReader(CorruptFileError, "restore it")
 _LAST_STEPS = 50
+_SHORTEST_END = 0.1
+"""Share of a run at its end in which a value must stay below a limit."""
 """Steps that the ergodic measure at the end of a run is averaged over."""
 Rows = Sequence[Mapping[str, str]]
 Measure = Callable[[Record], Optional[float]]
@@ -49,7 +51,7 @@ def group_table(groups: Mapping[str, Sequence[Record]], measures: Mapping[str, M
             found = [record for record in records if measure(record) is not None]
             values = [measure(record) for record in found]
             reached = f"; {len(found)} of {len(records)} runs" if 0 < len(found) < len(records) else ""
-            cells.append(interval(values, [record.config.exploration.seed for record in found]) + reached)
+            cells.append(interval(values, [seed_of(record) for record in found]) + reached)
         rows.append(cells)
     return markdown(("group", "runs", *measures), rows)
 
@@ -70,12 +72,16 @@ def last_value(table: str, column: str) -> Measure:
 
 
 def stays_below(table: str, column: str, limit: float) -> Measure:
-    """Return the measure that is the first step or update from which all values are below a limit; None without one."""
+    """Return the measure that is the first step or update from which all values are below a limit.
+
+    None if that is so in less than the last tenth of the run: a value that fluctuates may end there by chance.
+    """
 
     def find(record: Record) -> Optional[float]:
-        above = np.flatnonzero(record.tables[table][column] >= limit)
-        rest = record.tables[table][COLUMNS[table][0]][above[-1] + 1 if len(above) else 0 :]
-        return float(rest[0]) if len(rest) else None
+        axis = record.tables[table][COLUMNS[table][0]]
+        others = np.flatnonzero(~(record.tables[table][column] < limit))
+        rest = axis[others[-1] + 1 if len(others) else 0 :]
+        return float(rest[0]) if len(rest) and rest[0] <= (1.0 - _SHORTEST_END) * axis[-1] else None
 
     return find
 

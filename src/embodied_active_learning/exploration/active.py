@@ -6,7 +6,6 @@ The paper names exploration that is guided by the identification as future work;
 from __future__ import annotations
 
 import math
-from typing import Mapping
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,7 +16,6 @@ from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.ergodic_objective import normalise
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.geometry import metres_per_pixel
-from embodied_active_learning.state_dict import StateDict, matching_arrays
 
 _CELL = 0.01
 """Size of a cell of the table [m]."""
@@ -45,16 +43,6 @@ class ActiveExplorer(ErgodicController):
     def set_open_places(self, places: np.ndarray) -> None:
         """See Explorer. A place outside the workspace is viewed from the nearest state inside."""
         self._places = np.clip(np.reshape(places, (-1, 2)), self._workspace.lower[:2], self._workspace.upper[:2])
-
-    def state_dict(self) -> StateDict:
-        """See Explorer."""
-        return {**super().state_dict(), "places": self._places.copy()}
-
-    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
-        """See Explorer."""
-        places = matching_arrays(state, {"places": np.empty((0, 2))})["places"]
-        super().load_state_dict(state)
-        self._places = places
 
     def next_command(self, target: np.ndarray, samples: WorkspaceSamples) -> VelocityCommand:
         """See Explorer; the target of the model is not used."""

@@ -35,7 +35,7 @@ class Readiness:
         self._clock = clock
         self._report = Report()
         self._condition = Condition.NO_STATE
-        # Why a person has to release the robot. Only the second ends with a recovery that a person has requested.
+        # Why a person has to release the robot; forget_reflexes() ends only the second.
         self._manual_hold = self._reflex_hold = ""
         self._prepared = False
         self._preparation_error = ""
@@ -154,8 +154,8 @@ class Readiness:
         self.forget_reflexes()
 
     def hold(self, reason: str) -> None:
-        """Hold the robot until `release`; not if the reason is empty."""
-        self._manual_hold = reason
+        """Hold the robot until `release`; an empty reason changes nothing."""
+        self._manual_hold = reason or self._manual_hold
 
     def forget_reflexes(self) -> None:
         """Recoveries that a person has requested do not count."""

@@ -11,7 +11,7 @@ from typing import Dict, Iterator, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.figures.curves import Curve
 from embodied_active_learning.schema import settings, suggestion
@@ -83,6 +83,11 @@ def group_records(records: Sequence[Record], key: str) -> Dict[str, List[Record]
     return groups
 
 
+def seed_of(record: Record) -> object:
+    """Return what a run has in common with those that it depends on: its seed, or of a real arm's run only its name."""
+    return record.config.exploration.seed if record.config.arm.robot == SIMULATED else record.name
+
+
 def clustering_settings(records: Sequence[Record]) -> str:
     """Return a sentence with each clustering setting that differs from the default or among runs, or nothing."""
     sections = [record.config.to_dict()["fingerprint"] for record in records]
@@ -121,7 +126,7 @@ def _curve(name: str, records: Sequence[Record], table: str, column: str) -> Cur
     """Return the mean of a column over the seeds of a group, on a common axis; n is the number of seeds."""
     found = [_finite(record.tables[table], COLUMNS[table][0], column) for record in records]
     series = [(x, y) for x, y in found if len(x)]
-    seeds = [record.config.exploration.seed for record, (x, _) in zip(records, found) if len(x)]
+    seeds = [seed_of(record) for record, (x, _) in zip(records, found) if len(x)]
     label = f"{name} (n = {len(set(seeds))})"
     start, end = max((x[0] for x, _ in series), default=1.0), min((x[-1] for x, _ in series), default=0.0)
     if start > end:  # a run ended before another one had its first row

@@ -119,7 +119,7 @@ def differences(stored: Config, wanted: Config) -> List[str]:
     before, after = stored.portable(), wanted.portable()
     ignored = dict(_NOT_COMPARED)
     if wanted.may_stop_early:
-        del ignored["fingerprint"]
+        ignored["fingerprint"] = ("trials",)
     if wanted.exploration.explorer == "active":
         del ignored["identification"]
     return [

@@ -35,6 +35,15 @@ def test_node_released_by_person_can_pause_again():
     assert requests.release("/fingerprinter")
 
 
+def test_person_whose_pause_another_released_can_end_a_later_one():
+    """Unlike a fingerprinter, which resumes by itself: rqt has the same name in all calls."""
+    requests = PauseRequests()
+    requests.add("/rqt")
+    requests.release("/rosservice_1")
+    requests.add("/fingerprinter")
+    assert requests.release("/rqt")
+
+
 def test_release_without_pause_changes_nothing():
     assert not PauseRequests().release("/fingerprinter")
 

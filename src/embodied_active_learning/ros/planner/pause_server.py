@@ -14,21 +14,23 @@ from embodied_active_learning.ros.arm.retrying_arm import RetryingArm
 from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.services import name_of_caller
 
+_FINGERPRINTER = "fingerprinter"
+
 
 class PauseRequests:
     """Names of the nodes that have paused the planner; it is paused while there is one.
 
     A node that has paused the planner releases its own request only, so that a person's pause outlasts that of a
     fingerprinter, whichever came first. Any other caller releases all requests: each rosservice call of a person has
-    another node name, and a pause must not outlast a node that died. A node whose request was released by another
-    caller releases nothing when it resumes: a person may have paused the planner again meanwhile.
+    another node name, and a pause must not outlast a node that died. A fingerprinter whose request another caller has
+    released releases nothing when it resumes by itself: a person may have paused the planner again meanwhile.
     """
 
     def __init__(self, text: str = "") -> None:
         """Restore the requests from the `text` of earlier ones."""
         self._lock = threading.Lock()
         self._names: Set[str] = set(text.split())
-        self._released: Set[str] = set()  # by another caller, and not by their own node since then
+        self._released: Set[str] = set()  # fingerprinters' that another caller released, until they resume
 
     @property
     def text(self) -> str:
@@ -51,7 +53,7 @@ class PauseRequests:
                 self._released.remove(name)
                 return False
             ended = {name} if name in self._names else self._names
-            self._released |= ended - {name}
+            self._released |= {one for one in ended - {name} if one.rsplit("/", 1)[-1] == _FINGERPRINTER}
             was_paused = bool(self._names)
             self._names = self._names - ended
             return was_paused and not self._names
