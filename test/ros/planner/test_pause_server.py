@@ -36,7 +36,7 @@ def test_node_released_by_person_can_pause_again():
 
 
 def test_person_whose_pause_another_released_can_end_a_later_one():
-    """Unlike a fingerprinter, which resumes by itself: rqt has the same name in all calls."""
+    """Unlike a fingerprinter, which resumes automatically: rqt has the same name in all calls."""
     requests = PauseRequests()
     requests.add("/rqt")
     requests.release("/rosservice_1")

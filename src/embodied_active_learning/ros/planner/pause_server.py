@@ -23,7 +23,7 @@ class PauseRequests:
     A node that has paused the planner releases its own request only, so that a person's pause outlasts that of a
     fingerprinter, whichever came first. Any other caller releases all requests: each rosservice call of a person has
     another node name, and a pause must not outlast a node that died. A fingerprinter whose request another caller has
-    released releases nothing when it resumes by itself: a person may have paused the planner again meanwhile.
+    released releases nothing when it resumes automatically: a person may have paused the planner again meanwhile.
     """
 
     def __init__(self, text: str = "") -> None:
