@@ -62,9 +62,8 @@ def main() -> None:
         sweep = draw_runs.__name__
         records = records_of(sweep)
         lines = draw_runs(records) if records else []
-        replace_block(
-            PAGE, sweep, [" ".join(filter(None, [missing(sweep, records), clustering_settings(records)])), *lines]
-        )
+        notes = missing(sweep, records), clustering_settings(records)
+        replace_block(PAGE, sweep, [" ".join(filter(None, notes)), *lines])
 
 
 def learning_metrics(records: List[Record]) -> List[str]:

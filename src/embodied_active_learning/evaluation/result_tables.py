@@ -19,9 +19,9 @@ from embodied_active_learning.sweep.run_records import Record
 
 _READER = FileReader(CorruptFileError, "restore it")
 _LAST_STEPS = 50
+"""Steps that the ergodic measure at the end of a run is averaged over."""
 _SHORTEST_END = 0.1
 """Share of a run at its end in which a value must stay below a limit."""
-"""Steps that the ergodic measure at the end of a run is averaged over."""
 Rows = Sequence[Mapping[str, str]]
 Measure = Callable[[Record], Optional[float]]
 """A number of a run; None if it has none."""
@@ -48,10 +48,9 @@ def group_table(groups: Mapping[str, Sequence[Record]], measures: Mapping[str, M
     for name, records in groups.items():
         cells: List[object] = [name, len(records)]
         for measure in measures.values():
-            found = [record for record in records if measure(record) is not None]
-            values = [measure(record) for record in found]
+            found = [(value, seed_of(record)) for record in records if (value := measure(record)) is not None]
             reached = f"; {len(found)} of {len(records)} runs" if 0 < len(found) < len(records) else ""
-            cells.append(interval(values, [seed_of(record) for record in found]) + reached)
+            cells.append(interval([value for value, _ in found], [seed for _, seed in found]) + reached)
         rows.append(cells)
     return markdown(("group", "runs", *measures), rows)
 
@@ -96,7 +95,7 @@ def final_ergodic_measure(record: Record) -> Optional[float]:
     return float(np.mean(late)) if len(late) else None
 
 
-def interval(values: Sequence[Optional[float]], seeds: Sequence[object]) -> str:
+def interval(values: Sequence[float], seeds: Sequence[object]) -> str:
     """Return "mean (low to high)" with a bootstrap interval over seeds; only the mean if it has no width; else a dash.
 
     Args:

@@ -35,7 +35,7 @@ def test_node_released_by_person_can_pause_again():
     assert requests.release("/fingerprinter")
 
 
-def test_person_whose_pause_another_released_can_end_a_later_one():
+def test_person_can_end_a_pause_after_another_one():
     """Unlike a fingerprinter, which resumes automatically: rqt has the same name in all calls."""
     requests = PauseRequests()
     requests.add("/rqt")

@@ -27,7 +27,7 @@ typedef struct {
 #ifdef __AVX512F__
 #define TILE_COLUMNS 4
 #define IMAGE_TILE_COLUMNS 8 /* if there are only the three channels of an image */
-#define GRADIENT_SUMS 25
+#define GRADIENT_SUMS 25 /* of a tile of the weight gradient */
 #else
 #define TILE_COLUMNS 2
 #define IMAGE_TILE_COLUMNS 3
@@ -43,6 +43,14 @@ INLINE void start_tile(tile sum, const epilogue *e, int o, int n, int p) {
         sum[i][j] = (vec){0} + (e->bias ? e->bias[o + j] : 0.0f);
 }
 
+/* held[i] = from[i * step], in registers */
+INLINE void hold(vec *held, const vec *from, long step, int count) {
+    UNROLL for (int i = 0; i < count; i++) {
+        LOAD(value, from[i * step]);
+        held[i] = value;
+    }
+}
+
 /* sum[i][j] += value[i * step] * weight[j]
  *
  * AVX-512 multiplies by a weight in memory. Otherwise weights need registers, of which the sums leave few: the smaller
@@ -51,10 +59,7 @@ INLINE void add_products(tile sum, const vec *value, int step, const float *weig
 #ifndef __AVX512F__
     if (p < n) {
         vec held[MAX_COLUMNS];
-        UNROLL for (int i = 0; i < p; i++) {
-            LOAD(factor, value[i * step]);
-            held[i] = factor;
-        }
+        hold(held, value, step, p);
         UNROLL for (int j = 0; j < n; j++) {
             LOAD_BROADCAST(factor, weight[j]);
             UNROLL for (int i = 0; i < p; i++) sum[i][j] += held[i] * factor;
@@ -169,19 +174,13 @@ INLINE void weight_gradient_tile(const feature_map *inner, const feature_map *ou
         for (int count = columns; count > 0; count--, left++, right += s) {
             vec held[MAX_CHANNELS];
             if (n < p) {
-                UNROLL for (int j = 0; j < n; j++) {
-                    LOAD(factor, left[j * stride]);
-                    held[j] = factor;
-                }
+                hold(held, left, stride, n);
                 UNROLL for (int i = 0; i < p; i++) {
                     LOAD(factor, right[i]);
                     UNROLL for (int j = 0; j < n; j++) sum[j][i] += held[j] * factor;
                 }
             } else {
-                UNROLL for (int i = 0; i < p; i++) {
-                    LOAD(factor, right[i]);
-                    held[i] = factor;
-                }
+                hold(held, right, 1, p);
                 UNROLL for (int j = 0; j < n; j++) {
                     LOAD(factor, left[j * stride]);
                     UNROLL for (int i = 0; i < p; i++) sum[j][i] += factor * held[i];
