@@ -25,6 +25,7 @@ pytestmark = pytest.mark.ros
 
 TINY = ROOT / "test" / "rostest" / "tiny.yaml"
 NODES = ("pybullet_arm", "trainer", "ergodic_planner", "fingerprinter", "monitor")
+CHECKPOINT_EVERY = 60  # updates
 SAMPLES, PERIOD = 40, 0.4
 MEMORY = 4.0  # MB by which a node may grow during the second half of the samples
 IMAGE = 60 * 60 * 3 / 2**20  # MB of an image of TINY
@@ -89,7 +90,7 @@ class Run:
 def run(tmp_path_factory):
     home = tmp_path_factory.mktemp("run")
     profile = yaml.safe_load(TINY.read_text())
-    profile["training"]["checkpoint_every"] = 60  # a respawned trainer repeats few updates
+    profile["training"]["checkpoint_every"] = CHECKPOINT_EVERY  # a respawned trainer repeats few updates
     (home / "profile.yaml").write_text(yaml.safe_dump(profile))
     values = {"profile": home / "profile.yaml", "session_root": home, "session": "run", "steps": 20000}
     arguments = [f"{name}:={value}" for name, value in {**values, "respawn": "true"}.items()]
@@ -123,6 +124,7 @@ def end(process, sig):
 
 
 def test_memory_handles_and_threads_do_not_grow(run):
+    run.wait_for(lambda: run.last_update > 10 * CHECKPOINT_EVERY)  # later checkpoints reuse the memory of these
     tracks = {node: [] for node in NODES}
     processes = {node: run.pid(node) for node in NODES}
     for _ in range(SAMPLES):

@@ -23,7 +23,13 @@ class Scene:
         self.now = 100.0
         self.pictures = np.random.default_rng(0)
         config = Config.from_dict({"camera": {**CAMERA, **camera}})
-        self.camera = PosedCamera(config, clock=lambda: rospy.Time(self.now))
+        self.arrives_during_take = []  # stamps of images that arrive while take() waits
+        self.camera = PosedCamera(config, clock=self.read_clock)
+
+    def read_clock(self):
+        if self.arrives_during_take:
+            self.sees(stamp=self.arrives_during_take.pop())
+        return rospy.Time(self.now)
 
     def moves_to(self, pose, stamp=None):
         self.camera.add_state(state_message(self.time(stamp), pose, (0.0, 0.0, 0.0)))
@@ -138,7 +144,7 @@ def test_late_images_are_rejected():
     scene.moves_to(HERE, stamp=100.0)
     scene.moves_to(HERE, stamp=101.0)
     scene.now = 101.0
-    threading.Timer(0.01, scene.sees, [None, 100.2]).start()
+    scene.arrives_during_take.append(100.2)
     check_rejected(scene, "are late: the newest is 0.80 s old, camera/max_age is 0.5 s")
 
 
