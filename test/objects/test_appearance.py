@@ -14,7 +14,12 @@ from embodied_active_learning.objects import colours
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.calibration import calibrate
-from embodied_active_learning.objects.colours import balance_jacobian, balanced, colour_distance, colour_features
+from embodied_active_learning.objects.colours import (
+    balance_jacobian,
+    colour_features,
+    colours_of,
+    dark_factor,
+)
 from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.pose_search import best_pose, propose, refine
@@ -72,19 +77,19 @@ def test_object_points_are_placed_by_pose():
     np.testing.assert_allclose(to_object_frame(placed[0], np.array([0.5, 0.1, np.pi / 2])), points, atol=1e-6)
 
 
-def test_white_balance_changes_features_as_it_changes_images():
-    colours, gains = np.array([[200, 100, 40], [90, 180, 60], [120, 120, 120]], np.uint8), np.array([1.1, 1.0, 0.9])
-    changed = colour_features(np.rint(colours * gains).astype(np.uint8))
-    np.testing.assert_allclose(balanced(colour_features(colours), np.log(gains)), changed, atol=0.02)
+def test_colours_follow_from_features():
+    colours = np.random.default_rng(0).integers(0, 256, (100, 3)).astype(np.uint8)
+    np.testing.assert_allclose(colours_of(colour_features(colours)), colours, atol=0.01)
 
 
 def test_balance_jacobian_has_the_derivatives():
-    features, step = colour_features(np.array([[200, 100, 40], [20, 60, 230]], np.uint8)).astype(float), 1e-5
-    jacobian = balance_jacobian(features)
+    colours, step = np.array([[200.0, 100.0, 40.0], [20.0, 60.0, 230.0]]), 1e-3
+    shares = 3.0 * colours / colours.sum(axis=1, keepdims=True)
+    jacobian = balance_jacobian(np.concatenate([np.zeros((2, 1)), shares[:, :2]], axis=1))
     for channel in range(2):
-        gains = step * np.eye(3)[channel]
-        change = (balanced(features, gains) - balanced(features, -gains))[:, 1:] / (2.0 * step)
-        np.testing.assert_allclose(jacobian[:, :, channel], change, atol=0.05)
+        changed = colours * np.exp(step * np.eye(3)[channel])
+        change = (3.0 * changed / changed.sum(axis=1, keepdims=True) - shares)[:, :2] / step
+        np.testing.assert_allclose(jacobian[:, :, channel], change, atol=0.002)
 
 
 @pytest.mark.parametrize(("gains", "is_explained"), [((1.1, 1.0, 0.9), True), ((1.0, 1.0, 0.3), False)])
@@ -101,11 +106,23 @@ def test_white_balance_does_not_explain_a_missing_channel(appearance, gains, is_
     assert (other > 0.9 * as_is) == is_explained
 
 
-def test_brightness_changes_only_luminance_feature():
-    colours = np.array([[200, 100, 40], [90, 180, 60]], np.uint8)
-    change = colour_features(colours // 2) - colour_features(colours)
-    assert np.all(change[:, 0] < -0.6)
-    assert np.all(colour_distance(change[:, 1:]) < 0.05**2 + 0.01)
+def test_brightness_scales_shares_by_dark_factor():
+    colours = np.array([[200, 100, 40], [92, 180, 60], [40, 20, 8]], np.uint8)
+    bright, dark = colour_features(colours), colour_features(colours // 4)
+    assert np.all(dark[:, 0] < bright[:, 0] - 0.6)
+    scale = dark_factor(dark) / dark_factor(bright)
+    np.testing.assert_allclose(dark[:, 1:], bright[:, 1:] * scale[:, None], atol=0.01)
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.4])
+def test_similarity_is_the_same_in_little_light(appearance, gain):
+    states = np.add(PLACE, np.zeros((1, 3)))
+    images = paint(states, (RED._replace(pose=PLACE),), CAMERA)
+    bright, dark = (
+        similarity(appearance, SceneViews(states, part, CAMERA), [0], [appearance.central_view], np.array([PLACE]))[0]
+        for part in (images, (images * gain).astype(np.uint8))
+    )
+    assert dark == pytest.approx(bright, abs=0.03)
 
 
 def test_similarity_is_high_at_object_and_low_elsewhere(appearance, views):

@@ -13,13 +13,13 @@ from typing import List, Tuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from sklearn.cluster import MeanShift
 
 from embodied_active_learning.config import CAMERA, TABLE, Config, FingerprintConfig
 from embodied_active_learning.geometry import table_points, wrap
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.foreground_map import ForegroundMap, map_foreground
+from embodied_active_learning.objects.mean_shift import mean_shift
 from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.rng import Stream, generator
 from embodied_active_learning.workspace import Workspace
@@ -206,7 +206,7 @@ def _cluster(points: np.ndarray, yaws: np.ndarray, settings: FingerprintConfig, 
     """Cluster points (P, 2) [m] with yaws (P,), largest first, without clusters that are small or near a larger one."""
     if not len(points):
         return []
-    shift = MeanShift(bandwidth=settings.bandwidth, bin_seeding=True, cluster_all=False).fit(points)
+    shift = mean_shift(points, settings.bandwidth, bin_seeding=True, cluster_all=False)
     found = []
     for label, centre in enumerate(shift.cluster_centers_):
         members = shift.labels_ == label
@@ -233,7 +233,7 @@ def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:
 
 def _blank_region(states: np.ndarray) -> Cluster:
     """Return the largest cluster of the states (B, 3) with the lowest entropy; yaw is irrelevant there and set to 0."""
-    shift = MeanShift(bandwidth=_BLANK_BANDWIDTH, bin_seeding=True, cluster_all=False).fit(states[:, :2])
+    shift = mean_shift(states[:, :2], _BLANK_BANDWIDTH, bin_seeding=True, cluster_all=False)
     sizes = np.bincount(shift.labels_[shift.labels_ >= 0])
     largest = int(sizes.argmax())
     return Cluster(BLANK, np.array([*shift.cluster_centers_[largest], 0.0]), float(sizes[largest] / len(states)))

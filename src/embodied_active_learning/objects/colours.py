@@ -12,7 +12,7 @@ from typing import List, Sequence
 
 import cv2
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.geometry import metres_per_pixel, table_points
@@ -26,6 +26,8 @@ _WHITE = 765
 """Sum of the channels of a white pixel."""
 _DARK_LUMINANCE, _DARK_COLOUR = 0.02, 0.03
 """Added to luminance and to the sum of channels (1 and 3 are white), so that dark pixels have stable features."""
+_LEAST_TOTAL = 0.004
+"""Sum of channels (1 is white) of the darkest pixels: one level each."""
 _LEVELS: np.ndarray = np.arange(_WHITE + 1, dtype=np.float32)
 _LOG_LUMINANCE = np.log(_LEVELS / _WHITE + _DARK_LUMINANCE)
 _SHARE: np.ndarray = (3.0 / (_LEVELS + 255.0 * _DARK_COLOUR)).astype(np.float32)
@@ -65,9 +67,13 @@ def _without_bias(noise: float) -> np.ndarray:
     """Value (256,) uint8 whose mean under this noise, cut off at 0 and 255, is 0, 1, ... 255."""
     values: np.ndarray = np.linspace(-3.0 * noise, 255.0 + 3.0 * noise, 4096)
     dark, bright = values / noise, (255.0 - values) / noise
-    raised = noise * norm.pdf(dark) - values * norm.sf(dark)
-    lowered = noise * norm.pdf(bright) - (255.0 - values) * norm.sf(bright)
+    raised = noise * _normal_density(dark) - values * ndtr(-dark)
+    lowered = noise * _normal_density(bright) - (255.0 - values) * ndtr(-bright)
     return np.rint(np.clip(np.interp(np.arange(256), values + raised - lowered, values), 0, 255)).astype(np.uint8)
+
+
+def _normal_density(values: np.ndarray) -> np.ndarray:
+    return np.asarray(np.exp(-0.5 * values**2) / np.sqrt(2.0 * np.pi))
 
 
 def colour_features(colours: np.ndarray) -> np.ndarray:
@@ -83,13 +89,17 @@ def colour_distance(change: np.ndarray) -> np.ndarray:
     return red**2 + green**2 + (red + green) ** 2
 
 
-def balanced(features: np.ndarray, gains: np.ndarray) -> np.ndarray:
-    """Return features (..., 3) under another white balance: log gains (3,) of red, green and blue."""
-    red, green = features[..., 1], features[..., 2]
-    scaled = np.stack([red, green, 3.0 - red - green], axis=-1) * np.exp(gains)
-    total = scaled.sum(axis=-1) / 3.0
-    shares = scaled[..., :2] / total[..., None]
-    return np.stack([features[..., 0] + np.log(total), shares[..., 0], shares[..., 1]], axis=-1)
+def colours_of(features: np.ndarray) -> np.ndarray:
+    """Return the colours (..., 3) of features (..., 3), between 0 and 255 but for impossible features; not rounded."""
+    total = _WHITE * np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, 0.0)
+    shown = features[..., 1:] * ((total + 255.0 * _DARK_COLOUR) / 3.0)[..., None]
+    return np.concatenate([shown, (total - shown.sum(axis=-1))[..., None]], axis=-1)
+
+
+def dark_factor(features: np.ndarray) -> np.ndarray:
+    """Return the factor (...) by which what is added to dark pixels lowers the shares of features (..., 3)."""
+    total = np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, _LEAST_TOTAL)
+    return np.asarray(total / (total + _DARK_COLOUR / 3.0))
 
 
 def balance_jacobian(features: np.ndarray) -> np.ndarray:

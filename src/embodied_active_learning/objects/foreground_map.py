@@ -8,10 +8,10 @@ from typing import Tuple
 
 import numpy as np
 from scipy import ndimage
-from sklearn.cluster import MeanShift
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.geometry import table_points
+from embodied_active_learning.objects.mean_shift import mean_shift
 from embodied_active_learning.objects.relief import TILE, relief_at
 from embodied_active_learning.objects.salience import Background
 from embodied_active_learning.subsampling import spread_indices
@@ -71,7 +71,7 @@ class ForegroundMap:
         for region in range(1, count + 1):
             cells = np.argwhere(regions == region)
             if len(cells) >= _MIN_CELLS:
-                shift = MeanShift(bandwidth=_WIDTH / _CELL, seeds=cells[::_SEED_STRIDE]).fit(cells)
+                shift = mean_shift(cells, _WIDTH / _CELL, seeds=cells[::_SEED_STRIDE])
                 centres.append(shift.cluster_centers_)
         return self.lower + (np.concatenate(centres) + 0.5) * _CELL
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from embodied_active_learning.errors import ObservationError
 
-CALIBRATION_VERSION = 6
+CALIBRATION_VERSION = 7
 """Version of similarity and calibration: stored limits of another version do not apply."""
 
 

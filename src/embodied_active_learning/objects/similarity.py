@@ -14,7 +14,7 @@ import numpy as np
 
 from embodied_active_learning.geometry import to_base_frame, to_object_frame
 from embodied_active_learning.objects.appearance import Appearance
-from embodied_active_learning.objects.colours import GRADIENT_UNIT, balance_jacobian, colour_distance
+from embodied_active_learning.objects.colours import GRADIENT_UNIT, balance_jacobian, colour_distance, dark_factor
 from embodied_active_learning.objects.medians import masked_median
 
 Indices = Union[Sequence[int], np.ndarray]
@@ -53,6 +53,7 @@ class Points(NamedTuple):
     positions: np.ndarray  # (K, 2) m, in the object's coordinates
     features: np.ndarray  # (K, 3)
     jacobian: np.ndarray  # (K, 2, 2), see balance_jacobian
+    darkness: np.ndarray  # (K,), see dark_factor
 
 
 class Light(NamedTuple):
@@ -131,14 +132,21 @@ def _points(appearance: Appearance, stored: int, stride: int = 1) -> Tuple[Point
     inside = appearance.inside_features[stored, ::stride]
     ring = appearance.ring_features[stored, ::stride]
     return (
-        Points(appearance.inside_points[stored, ::stride], inside, balance_jacobian(inside)),
-        Points(appearance.ring_points[stored, ::stride], ring, balance_jacobian(ring)),
+        Points(appearance.inside_points[stored, ::stride], inside, balance_jacobian(inside), dark_factor(inside)),
+        Points(appearance.ring_points[stored, ::stride], ring, balance_jacobian(ring), dark_factor(ring)),
     )
+
+
+def _change(features: np.ndarray, points: Points) -> np.ndarray:
+    """Change (P, K, 3) of the features of points to those seen (P, K, 3), of shares as if both were equally dark."""
+    shares = points.features[:, 1:] / points.darkness[:, None] * dark_factor(features)[..., None]
+    luminance = features[..., :1] - points.features[:, :1]
+    return np.concatenate([luminance, features[..., 1:] - shares], axis=-1)
 
 
 def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: Tuple[float, float]) -> Light:
     """Robust fit of the light to features (P, K, 3) seen at points, of which (P, K) are valid."""
-    change = features - points.features
+    change = _change(features, points)
     luminance = change[..., 0]
     x, y = (points.positions / GRADIENT_UNIT).T
     seen: np.ndarray = valid.astype(np.float32)
@@ -175,7 +183,7 @@ def _fit_balance(change: np.ndarray, weight: np.ndarray, jacobian: np.ndarray) -
 def _match(features: np.ndarray, points: Points, light: Light, scale: Tuple[float, float]) -> np.ndarray:
     """Match (P, K), 0 to 1, of features (P, K, 3) seen at points: 1 if the light explains how they differ."""
     x, y = (points.positions / GRADIENT_UNIT).T
-    change = features - points.features
+    change = _change(features, points)
     error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
     red, green = np.moveaxis(points.jacobian, -1, 0)
     explained = light.balance[:, None, :1] * red + light.balance[:, None, 1:] * green
