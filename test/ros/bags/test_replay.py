@@ -28,8 +28,11 @@ pytestmark = pytest.mark.ros
 
 BAG = ROOT / "bags" / "diagonal-small.bag"
 OBSERVATIONS = 400
-QUICK = {"training": {"updates_per_observation": 1, "learning_rate": 0.003}}
-"""A third of the updates of the recorded run, each three times as large."""
+QUICK = {
+    "training": {"updates_per_observation": 1, "learning_rate": 0.003},
+    "model": {"channels": [8, 8, 12], "hidden_sizes": [96, 48], "latent_size": 8},
+}
+"""A smaller model, and a third of the updates of the recorded run, each three times as large."""
 
 
 @pytest.fixture(scope="module")
