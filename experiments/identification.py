@@ -16,9 +16,10 @@ from typing import Iterator, List, Sequence, Tuple
 
 import torch
 from identification_baselines import BASELINES, Stream
-from identification_scenes import CONDITIONS, Place, Row, Scenes, judge, photograph, report, true_kind
+from identification_scenes import CONDITIONS, Place, Row, Scenes, judge, locations, photograph, report, true_kind
 
 from embodied_active_learning.config import BELIEF, FROM_BELIEF, LATENTS, PIXELS, IdentificationConfig
+from embodied_active_learning.evaluation.table1 import keep_counted
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.decision_rule import DecisionRule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
@@ -114,20 +115,15 @@ class Evaluation:
             for name, settings in rules.items():
                 decisions = []
                 for group in by_session(search.targets):
-                    decisions += DecisionRule(settings).decide(group, views, stream.mosaic)
-                yield name, self._counted(decisions, world) if "ranked" in name else decisions
+                    decided = DecisionRule(settings).decide(group, views, stream.mosaic)
+                    session = group[0].session
+                    kinds = {item.fingerprint.name: self.kinds[session, item.fingerprint.name] for item in group}
+                    counted = "ranked" in name
+                    decisions += keep_counted(decided, session, kinds, locations(world)) if counted else decided
+                yield name, decisions
         objects = [item for item in self.search.targets if item.fingerprint.kind == OBJECT and not item.problem]
         for name, baseline in self._baselines.items():
             yield name, [baseline.decide(item, stream) for item in objects]
-
-    def _counted(self, decisions: Sequence[Decision], world: World) -> List[Decision]:
-        """As many of the highest peaks of each fingerprint as there are instances; one of a blank."""
-        kept: List[Decision] = []
-        for name, kind in self.kinds.items():
-            about = sorted(decisions_about(decisions, *name), key=lambda item: -item.belief_mean)
-            count = 1 if kind == BLANK else sum(item.kind == kind for item in world.objects)
-            kept += about[:count]
-        return kept
 
 
 def by_session(targets: Sequence[SearchTarget]) -> List[List[SearchTarget]]:

@@ -69,7 +69,7 @@ class BeliefPanel:
     decisions: Sequence[Decision]
 
     @property
-    def relief(self) -> np.ndarray:
+    def prominence(self) -> np.ndarray:
         """(nx, ny) prominence of the belief."""
         return prominence(self.mean)
 
@@ -104,7 +104,7 @@ def beliefs_figure(
     maps = [place(figure, left, top, _MAP, _MAP) for left, top in corners]
     if view is not None:
         _draw_view(maps[0], view, workspace, _extent(panels[0]) if panels else extent_of(workspace), truth)
-    limits, image = (0.0, shared_scale(panel.relief for panel in panels)), None
+    limits, image = (0.0, shared_scale(panel.prominence for panel in panels)), None
     for axes, (left, top), panel in zip(maps[before:], corners[before:], panels):
         image = _draw_map(axes, panel, limits, workspace, truth)
         _draw_note(place(figure, left + _MAP + _GAP, top, _THUMBNAIL, _THUMBNAIL), panel, truth)
@@ -148,7 +148,7 @@ def _draw_map(
 ) -> AxesImage:
     """Draw one belief map with its decisions."""
     extent = _extent(panel)
-    image = draw_map(axes, panel.relief.T, extent, limits)
+    image = draw_map(axes, panel.prominence.T, extent, limits)
     show_extent(axes, extent)
     draw_box(axes, extent_of(workspace), "white")
     mark_objects(axes, truth.objects, behind=True)

@@ -42,7 +42,6 @@ class Schedule:
         self.coverage = 0.0
         self.log_std_min = 0.0
         self.log_std_max = 0.0
-        self.rejected = 0
 
     @property
     def beta(self) -> float:
@@ -57,9 +56,8 @@ class Schedule:
         return sum(gamma for _, gamma in self._window) / max(len(self._window), 1)
 
     def evaluate(self, log_std: np.ndarray, coverage: float) -> None:
-        """Add an evaluation: log std at workspace samples (S,) and coverage k. Non-finite input is only counted."""
+        """Add an evaluation: log std at workspace samples (S,) and coverage k. Non-finite input changes nothing."""
         if not (math.isfinite(coverage) and np.all(np.isfinite(log_std))):
-            self.rejected += 1
             return
         config = self._config
         beta = beta_from_log_std(log_std, coverage, config.chi, config.beta_max)
@@ -74,7 +72,6 @@ class Schedule:
             "coverage": self.coverage,
             "log_std_min": self.log_std_min,
             "log_std_max": self.log_std_max,
-            "rejected": self.rejected,
         }
 
     def load_state_dict(self, state: Dict[str, Any]) -> None:
@@ -83,4 +80,3 @@ class Schedule:
         self._window.extend((float(beta), float(gamma)) for beta, gamma in state["window"])
         self.coverage = float(state["coverage"])
         self.log_std_min, self.log_std_max = float(state["log_std_min"]), float(state["log_std_max"])
-        self.rejected = int(state["rejected"])
