@@ -45,7 +45,7 @@ def load(name, **arguments):
     XmlLoader().load(str(path), ROSLaunchConfig(), argv=words, verbose=False)
 
 
-ARMS = {f"/{robot}_arm" for robot in (SIMULATED, *REAL_ROBOTS)}
+ARMS = {"/camera_pipeline", *(f"/{robot}_arm" for robot in (SIMULATED, *REAL_ROBOTS))}
 MACHINES = dict.fromkeys(("robot_host", "server_host", "robot_env", "server_env", "robot_profile"), "x")
 SYSTEM = {"/trainer", "/ergodic_planner", "/fingerprinter"}
 LEARNING = SYSTEM | {"/monitor", "/recorder"}
@@ -55,10 +55,10 @@ LEARNING = SYSTEM | {"/monitor", "/recorder"}
     ("name", "arguments", "names"),
     [
         ("learn", {}, {*LEARNING, *ARMS}),
-        ("learn", {"robot": "velocity_service"}, {*LEARNING, *ARMS, "/camera_pipeline"}),
+        ("learn", {"robot": "velocity_service"}, {*LEARNING, *ARMS}),
         ("learn", {"robot": "franka", "bringup": "none"}, LEARNING),
-        ("robot", {"bringup": "nodes"}, {*ARMS, "/camera_pipeline"}),
-        ("two_machines", MACHINES, {*ARMS, "/camera_pipeline"}),
+        ("robot", {"bringup": "nodes"}, {*ARMS}),
+        ("two_machines", MACHINES, {*ARMS}),
         ("fingerprint", {"session": "a"}, {*SYSTEM, "/identifier", *ARMS}),
         ("fingerprint", {"session": "a", "views_from": "stored"}, {*SYSTEM, "/identifier"}),
         ("identify", {"once": "false"}, {*SYSTEM, "/identifier", "/recorder", *ARMS}),

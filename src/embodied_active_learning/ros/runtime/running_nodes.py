@@ -9,8 +9,12 @@ from urllib.parse import urlparse
 import rosgraph
 
 from embodied_active_learning.errors import BusyError
+from embodied_active_learning.hardware_config import ARMS
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.master import CALL_ERRORS, server_proxy
+
+ARM_NODES = (*(arm.node for arm in ARMS.values()), "camera_pipeline")
+"""Nodes of all arms."""
 
 
 def own_name(default: str) -> str:
