@@ -51,9 +51,9 @@ class Points(NamedTuple):
     """Points of an object in a stored view."""
 
     positions: np.ndarray  # (K, 2) m, in the object's coordinates
-    features: np.ndarray  # (K, 3)
+    luminance: np.ndarray  # (K,) log luminance
+    shares: np.ndarray  # (K, 2) of red and green, divided by the dark_factor
     jacobian: np.ndarray  # (K, 2, 2), see balance_jacobian
-    darkness: np.ndarray  # (K,), see dark_factor
 
 
 class Light(NamedTuple):
@@ -101,9 +101,9 @@ def matches(
     inside, ring = _points(appearance, stored)
     seen, valid = views.features(view, to_base_frame(inside.positions, poses))
     seen_ring, _ = views.features(view, to_base_frame(ring.positions, poses))
-    scale = _scale(appearance)
-    light = _fit_light(seen, valid, inside, scale)
-    return _match(seen, inside, light, scale)[0], _match(seen_ring, ring, light, scale)[0]
+    scale, change = _scale(appearance), _change(seen, inside)
+    light = _fit_light(change, valid, inside, scale)
+    return _match(change, inside, light, scale)[0], _match(_change(seen_ring, ring), ring, light, scale)[0]
 
 
 def _scale(appearance: Appearance) -> Tuple[float, float]:
@@ -119,34 +119,36 @@ def _in_view(
     inside, ring = _points(appearance, stored, stride)
     seen, inside_valid = views.features(view, to_base_frame(inside.positions, poses))
     seen_ring, ring_valid = views.features(view, to_base_frame(ring.positions, poses))
-    scale = _scale(appearance)
-    light = _fit_light(seen, inside_valid, inside, scale)
-    of_inside = _mean(_match(seen, inside, light, scale), inside_valid)
-    of_ring = _mean(_match(seen_ring, ring, light, scale), ring_valid)
+    scale, change = _scale(appearance), _change(seen, inside)
+    light = _fit_light(change, inside_valid, inside, scale)
+    of_inside = _mean(_match(change, inside, light, scale), inside_valid)
+    of_ring = _mean(_match(_change(seen_ring, ring), ring, light, scale), ring_valid)
     of_ring = np.where(ring_valid.mean(axis=1) < _MIN_RING, _UNSEEN_RING, of_ring)
     return np.where(inside_valid.mean(axis=1) < _MIN_INSIDE, -1.0, of_inside - of_ring)
 
 
 def _points(appearance: Appearance, stored: int, stride: int = 1) -> Tuple[Points, Points]:
     """Points inside the object in a stored view, and those of the ring."""
-    inside = appearance.inside_features[stored, ::stride]
-    ring = appearance.ring_features[stored, ::stride]
-    return (
-        Points(appearance.inside_points[stored, ::stride], inside, balance_jacobian(inside), dark_factor(inside)),
-        Points(appearance.ring_points[stored, ::stride], ring, balance_jacobian(ring), dark_factor(ring)),
-    )
+    inside = (appearance.inside_points[stored, ::stride], appearance.inside_features[stored, ::stride])
+    ring = (appearance.ring_points[stored, ::stride], appearance.ring_features[stored, ::stride])
+    return _points_with(*inside), _points_with(*ring)
+
+
+def _points_with(positions: np.ndarray, features: np.ndarray) -> Points:
+    shares = features[:, 1:] / dark_factor(features)[:, None]
+    return Points(positions, features[:, 0], shares, balance_jacobian(features))
 
 
 def _change(features: np.ndarray, points: Points) -> np.ndarray:
-    """Change (P, K, 3) of the features of points to those seen (P, K, 3), of shares as if both were equally dark."""
-    shares = points.features[:, 1:] / points.darkness[:, None] * dark_factor(features)[..., None]
-    luminance = features[..., :1] - points.features[:, :1]
-    return np.concatenate([luminance, features[..., 1:] - shares], axis=-1)
+    """Change (P, K, 3) to the features seen at points (P, K, 3), of shares as if both views were equally dark."""
+    change: np.ndarray = np.empty_like(features)
+    change[..., 0] = features[..., 0] - points.luminance
+    change[..., 1:] = features[..., 1:] - points.shares * dark_factor(features)[..., None]
+    return change
 
 
-def _fit_light(features: np.ndarray, valid: np.ndarray, points: Points, scale: Tuple[float, float]) -> Light:
-    """Robust fit of the light to features (P, K, 3) seen at points, of which (P, K) are valid."""
-    change = _change(features, points)
+def _fit_light(change: np.ndarray, valid: np.ndarray, points: Points, scale: Tuple[float, float]) -> Light:
+    """Robust fit of the light to changes (P, K, 3) of the features of points, of which (P, K) are valid."""
     luminance = change[..., 0]
     x, y = (points.positions / GRADIENT_UNIT).T
     seen: np.ndarray = valid.astype(np.float32)
@@ -180,10 +182,9 @@ def _fit_balance(change: np.ndarray, weight: np.ndarray, jacobian: np.ndarray) -
     return np.asarray(gains * np.minimum(1.0, _BALANCE / np.maximum(largest, 1e-6))[:, None])
 
 
-def _match(features: np.ndarray, points: Points, light: Light, scale: Tuple[float, float]) -> np.ndarray:
-    """Match (P, K), 0 to 1, of features (P, K, 3) seen at points: 1 if the light explains how they differ."""
+def _match(change: np.ndarray, points: Points, light: Light, scale: Tuple[float, float]) -> np.ndarray:
+    """Match (P, K), 0 to 1, of changes (P, K, 3) of the features of points: 1 if the light explains them."""
     x, y = (points.positions / GRADIENT_UNIT).T
-    change = _change(features, points)
     error = change[..., 0] - light.gain[:, None] - light.gradient[:, :1] * x - light.gradient[:, 1:] * y
     red, green = np.moveaxis(points.jacobian, -1, 0)
     explained = light.balance[:, None, :1] * red + light.balance[:, None, 1:] * green
