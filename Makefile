@@ -4,7 +4,7 @@
 # make test    lint, then unit tests beside the tests with nodes
 # make docs    generated files of docs/ and config/, and API pages in build/docs
 # make figures figures and tables of docs/results.md from experiments/results, in about a minute
-# make paper   all missing runs and measurements of docs/results.md, then the figures; hours, can be interrupted;
+# make paper   missing runs of docs/results.md and their measurements, then the figures; hours, can be interrupted;
 #              PAPER_ARGS: arguments of each sweep, SWEEPS: folder of the sessions (docs/sweeps.md)
 # make check-results  shortened experiments: a sweep, its comparison, a bound, the coverage benchmark; three to four minutes
 # make bench   all benchmarks: tables and build/benchmarks.json

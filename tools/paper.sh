@@ -1,5 +1,6 @@
 #!/bin/bash
-# Make all missing runs and measurements of docs/results.md, then its figures and tables.
+# Make the missing runs of docs/results.md and their measurements, then its figures and tables. The stopping criterion
+# and the views of a fingerprint are measured separately.
 # SWEEPS is the folder of the sessions; arguments are passed to each sweep, such as --workers 2.
 set -euo pipefail
 cd "$(dirname "$0")/.."
