@@ -1,7 +1,8 @@
 """Colour features that change little with the light, and the colours of the table.
 
 A feature is (log luminance, red and green share of the colour). A change of brightness adds a constant to the first
-component and leaves the others, so light can be corrected where images are compared; so can the white balance. Shares
+component and leaves the others, so light can be corrected where images are compared; so can the white balance. In dark
+pixels, both are changed by what makes them stable: see log_luminance and dark_factor. Shares
 are multiplied by three: a small relative change of one channel is then about as large in either kind of component.
 """
 
@@ -26,8 +27,8 @@ _WHITE = 765
 """Sum of the channels of a white pixel."""
 _DARK_LUMINANCE, _DARK_COLOUR = 0.02, 0.03
 """Added to luminance and to the sum of channels (1 and 3 are white), so that dark pixels have stable features."""
-_LEAST_TOTAL = 0.004
-"""Sum of channels (1 is white) of the darkest pixels: one level each."""
+_LEAST_LUMINANCE = 0.004
+"""Least luminance (1 is white) for which features are corrected: one level in each channel."""
 _LEVELS: np.ndarray = np.arange(_WHITE + 1, dtype=np.float32)
 _LOG_LUMINANCE = np.log(_LEVELS / _WHITE + _DARK_LUMINANCE)
 _SHARE: np.ndarray = (3.0 / (_LEVELS + 255.0 * _DARK_COLOUR)).astype(np.float32)
@@ -96,10 +97,19 @@ def colours_of(features: np.ndarray) -> np.ndarray:
     return np.concatenate([shown, (total - shown.sum(axis=-1))[..., None]], axis=-1)
 
 
-def dark_factor(features: np.ndarray) -> np.ndarray:
-    """Return the factor (...) by which what is added to dark pixels lowers the shares of features (..., 3)."""
-    total = np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, _LEAST_TOTAL)
-    return np.asarray(total / (total + _DARK_COLOUR / 3.0))
+def luminance_of(features: np.ndarray) -> np.ndarray:
+    """Return the luminance (...) of features (..., 3): 1 is white, the least is one level in each channel."""
+    return np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, _LEAST_LUMINANCE)
+
+
+def log_luminance(luminance: np.ndarray) -> np.ndarray:
+    """Return the first feature of pixels with a luminance: its logarithm, but for what is added to dark pixels."""
+    return np.asarray(np.log(luminance + _DARK_LUMINANCE))
+
+
+def dark_factor(luminance: np.ndarray) -> np.ndarray:
+    """Return the factor by which what is added to dark pixels lowers the shares of pixels with a luminance."""
+    return np.asarray(luminance / (luminance + _DARK_COLOUR / 3.0))
 
 
 def balance_jacobian(features: np.ndarray) -> np.ndarray:

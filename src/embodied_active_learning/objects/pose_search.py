@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.geometry import to_base_frame
 from embodied_active_learning.objects.appearance import Appearance
-from embodied_active_learning.objects.colours import colour_distance
+from embodied_active_learning.objects.colours import colour_distance, dark_factor, log_luminance, luminance_of
 from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, SceneViews
 from embodied_active_learning.objects.similarity import (
     COLOUR_SCALE,
@@ -185,11 +185,12 @@ def _around(pose: np.ndarray, step: float, turn: float) -> np.ndarray:
 def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndarray:
     """Match (C + 1, S, S) of the mosaic with each colour (C, 3) under a gain, and with the best of them."""
     layers = []
+    darkness = dark_factor(luminance_of(mosaic.features))[..., None]
     for colour in colours:
-        change = mosaic.features - colour
-        shift = change[..., 1:]
+        luminance = luminance_of(colour)
+        shift = mosaic.features[..., 1:] - colour[1:] / dark_factor(luminance) * darkness
         shift = np.sign(shift) * np.maximum(np.abs(shift) - _BALANCE, 0.0)
-        error = ((change[..., 0] - gain) / LUMINANCE_SCALE) ** 2
+        error = ((mosaic.features[..., 0] - log_luminance(np.exp(gain) * luminance)) / LUMINANCE_SCALE) ** 2
         layers.append(mosaic.seen / (1.0 + error + colour_distance(shift) / COLOUR_SCALE**2))
     return np.stack([*layers, np.max(layers, axis=0)]).astype(np.float32)
 

@@ -14,7 +14,14 @@ import numpy as np
 
 from embodied_active_learning.geometry import to_base_frame, to_object_frame
 from embodied_active_learning.objects.appearance import Appearance
-from embodied_active_learning.objects.colours import GRADIENT_UNIT, balance_jacobian, colour_distance, dark_factor
+from embodied_active_learning.objects.colours import (
+    GRADIENT_UNIT,
+    balance_jacobian,
+    colour_distance,
+    dark_factor,
+    log_luminance,
+    luminance_of,
+)
 from embodied_active_learning.objects.medians import masked_median
 
 Indices = Union[Sequence[int], np.ndarray]
@@ -51,9 +58,9 @@ class Points(NamedTuple):
     """Points of an object in a stored view."""
 
     positions: np.ndarray  # (K, 2) m, in the object's coordinates
-    luminance: np.ndarray  # (K,) log luminance
-    shares: np.ndarray  # (K, 2) of red and green, divided by the dark_factor
-    jacobian: np.ndarray  # (K, 2, 2), see balance_jacobian
+    luminance: np.ndarray  # (K,)
+    shares: np.ndarray  # (K, 2) of red and green, as they were if the points were bright
+    jacobian: np.ndarray  # (K, 2, 2), see balance_jacobian; of the stored view, although the other one may be darker
 
 
 class Light(NamedTuple):
@@ -101,9 +108,10 @@ def matches(
     inside, ring = _points(appearance, stored)
     seen, valid = views.features(view, to_base_frame(inside.positions, poses))
     seen_ring, _ = views.features(view, to_base_frame(ring.positions, poses))
-    scale, change = _scale(appearance), _change(seen, inside)
-    light = _fit_light(change, valid, inside, scale)
-    return _match(change, inside, light, scale)[0], _match(_change(seen_ring, ring), ring, light, scale)[0]
+    scale, gain = _scale(appearance), _first_gain(seen, valid, inside)
+    change = _change(seen, inside, gain)
+    light = _fit_light(change, valid, inside, scale, gain)
+    return _match(change, inside, light, scale)[0], _match(_change(seen_ring, ring, gain), ring, light, scale)[0]
 
 
 def _scale(appearance: Appearance) -> Tuple[float, float]:
@@ -119,10 +127,11 @@ def _in_view(
     inside, ring = _points(appearance, stored, stride)
     seen, inside_valid = views.features(view, to_base_frame(inside.positions, poses))
     seen_ring, ring_valid = views.features(view, to_base_frame(ring.positions, poses))
-    scale, change = _scale(appearance), _change(seen, inside)
-    light = _fit_light(change, inside_valid, inside, scale)
+    scale, gain = _scale(appearance), _first_gain(seen, inside_valid, inside)
+    change = _change(seen, inside, gain)
+    light = _fit_light(change, inside_valid, inside, scale, gain)
     of_inside = _mean(_match(change, inside, light, scale), inside_valid)
-    of_ring = _mean(_match(_change(seen_ring, ring), ring, light, scale), ring_valid)
+    of_ring = _mean(_match(_change(seen_ring, ring, gain), ring, light, scale), ring_valid)
     of_ring = np.where(ring_valid.mean(axis=1) < _MIN_RING, _UNSEEN_RING, of_ring)
     return np.where(inside_valid.mean(axis=1) < _MIN_INSIDE, -1.0, of_inside - of_ring)
 
@@ -135,24 +144,36 @@ def _points(appearance: Appearance, stored: int, stride: int = 1) -> Tuple[Point
 
 
 def _points_with(positions: np.ndarray, features: np.ndarray) -> Points:
-    shares = features[:, 1:] / dark_factor(features)[:, None]
-    return Points(positions, features[:, 0], shares, balance_jacobian(features))
+    luminance = luminance_of(features)
+    shares = features[:, 1:] / dark_factor(luminance)[:, None]
+    return Points(positions, luminance, shares, balance_jacobian(features))
 
 
-def _change(features: np.ndarray, points: Points) -> np.ndarray:
-    """Change (P, K, 3) to the features seen at points (P, K, 3), of shares as if both views were equally dark."""
+def _first_gain(features: np.ndarray, valid: np.ndarray, points: Points) -> np.ndarray:
+    """Median gain (P,) of the luminance in features (P, K, 3) seen at points, of which (P, K) are valid."""
+    gains = np.log(luminance_of(features) / points.luminance)
+    return np.asarray(masked_median(gains, valid, 1, 0.0).astype(np.float32))
+
+
+def _change(features: np.ndarray, points: Points, gain: np.ndarray) -> np.ndarray:
+    """Change (P, K, 3) to the features seen at points (P, K, 3), as if they were as bright as those: near a gain (P,).
+
+    What is added to dark pixels changes more where the light changes more, so it is applied to the points as well.
+    """
     change: np.ndarray = np.empty_like(features)
-    change[..., 0] = features[..., 0] - points.luminance
-    change[..., 1:] = features[..., 1:] - points.shares * dark_factor(features)[..., None]
+    expected = log_luminance(np.exp(gain)[:, None] * points.luminance)
+    change[..., 0] = features[..., 0] - expected + gain[:, None]
+    change[..., 1:] = features[..., 1:] - points.shares * dark_factor(luminance_of(features))[..., None]
     return change
 
 
-def _fit_light(change: np.ndarray, valid: np.ndarray, points: Points, scale: Tuple[float, float]) -> Light:
-    """Robust fit of the light to changes (P, K, 3) of the features of points, of which (P, K) are valid."""
+def _fit_light(
+    change: np.ndarray, valid: np.ndarray, points: Points, scale: Tuple[float, float], gain: np.ndarray
+) -> Light:
+    """Robust fit of the light to changes (P, K, 3) of points, of which (P, K) are valid, starting from a gain (P,)."""
     luminance = change[..., 0]
     x, y = (points.positions / GRADIENT_UNIT).T
     seen: np.ndarray = valid.astype(np.float32)
-    gain: np.ndarray = masked_median(luminance, valid, 1, 0.0).astype(np.float32)
     gradient: np.ndarray = np.zeros((len(gain), 2), np.float32)
     weight = seen
     for _ in range(2):
