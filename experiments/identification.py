@@ -116,10 +116,11 @@ class Evaluation:
                 decisions = []
                 for group in by_session(search.targets):
                     decided = DecisionRule(settings).decide(group, views, stream.mosaic)
-                    session = group[0].session
-                    kinds = {item.fingerprint.name: self.kinds[session, item.fingerprint.name] for item in group}
-                    counted = "ranked" in name
-                    decisions += keep_counted(decided, session, kinds, locations(world)) if counted else decided
+                    if "ranked" in name:
+                        session = group[0].session
+                        kinds = {item.fingerprint.name: self.kinds[session, item.fingerprint.name] for item in group}
+                        decided = keep_counted(decided, session, kinds, locations(world))
+                    decisions += decided
                 yield name, decisions
         objects = [item for item in self.search.targets if item.fingerprint.kind == OBJECT and not item.problem]
         for name, baseline in self._baselines.items():

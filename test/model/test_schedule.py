@@ -55,9 +55,9 @@ def test_schedule_averages_its_window():
 def test_non_finite_evaluation_changes_nothing(log_std, coverage):
     schedule = Schedule(ObjectiveConfig())
     schedule.evaluate(np.array([0.0, 1.0]), 0.5)
-    before = (schedule.beta, schedule.gamma, schedule.coverage)
+    before = schedule.state_dict()
     schedule.evaluate(np.array(log_std), coverage)
-    assert (schedule.beta, schedule.gamma, schedule.coverage) == before
+    assert schedule.state_dict() == before
 
 
 def test_restored_schedule_continues_its_window():

@@ -10,8 +10,8 @@ import pytest
 from embodied_active_learning.config import IdentificationConfig
 from embodied_active_learning.figures.evidence import Evidence, draw_evidence
 from embodied_active_learning.geometry import pose_distance, to_base_frame, to_object_frame
-from embodied_active_learning.objects import colours
-from embodied_active_learning.objects.appearance import Appearance
+from embodied_active_learning.objects import colours, simulated_views
+from embodied_active_learning.objects.appearance import Appearance, grid_cells
 from embodied_active_learning.objects.bare_table import BareTable
 from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.colours import (
@@ -34,6 +34,8 @@ RED, BLUE = Thing(0, (0.40, -0.07, 0.6)), Thing(1, (0.54, 0.06, -1.0))
 LEARNED = learn((RED, BLUE), (0.36, 0.12))
 CAMERA, WORKSPACE = LEARNED.config.camera, LEARNED.config.workspace.box()
 PLACE = (0.50, -0.03, 1.1)
+POINTS = np.add(LEARNED.fingerprints[0].centre[:2], np.random.default_rng(0).uniform(-0.005, 0.005, (500, 2)))
+"""Points of the red thing on the table."""
 
 
 @pytest.fixture(scope="module")
@@ -210,3 +212,18 @@ def test_evidence_figure_is_written(appearance, views, tmp_path):
     decision = Decision("a", "object-1", "object", FOUND, 1, np.array(PLACE), 0.9, 0.05, 0.3, 5, 0.5, 0.1, "similarity")
     path = draw_evidence(tmp_path / "evidence.png", [Evidence("a/object-1", appearance, decision)], views)
     assert path.stat().st_size > 10_000
+
+
+def test_simulated_light_and_noise_are_those_of_a_camera(appearance, monkeypatch):
+    """Half the light halves all channels, and noise is added in levels."""
+    for name, value in {"_GAIN": (-0.7, -0.7), "_GRADIENT": 0.0, "_BALANCE": 0.0, "_DIFFERENCE": (0.0, 0.0)}.items():
+        monkeypatch.setattr(simulated_views, name, value)
+    scenes = []
+    for noise in (0.0, 2.0):
+        monkeypatch.setattr(simulated_views, "_NOISE", (noise, noise))
+        simulated = simulated_views.SimulatedViews(appearance, np.random.default_rng(0))
+        simulated._kept = 1.0  # light from the same side
+        scenes.append(colours_of(simulated.features(0, POINTS)[0]))
+    rows, columns, _ = grid_cells(to_object_frame(POINTS, appearance.fingerprint.centre))
+    np.testing.assert_allclose(scenes[0], appearance.colours[0, rows, columns] * np.exp(-0.7), atol=1.0)
+    assert (scenes[1] - scenes[0]).std() == pytest.approx(2.0, rel=0.2)

@@ -57,17 +57,13 @@ LEARNING = SYSTEM | {"/monitor", "/recorder"}
         ("learn", {}, {*LEARNING, *ARMS}),
         ("learn", {"robot": "velocity_service"}, {*LEARNING, *ARMS}),
         ("learn", {"robot": "franka", "bringup": "none"}, LEARNING),
-        ("robot", {"bringup": "nodes"}, {*ARMS}),
-        ("two_machines", MACHINES, {*ARMS}),
+        ("robot", {"bringup": "nodes"}, ARMS),
+        ("two_machines", MACHINES, ARMS),
         ("fingerprint", {"session": "a"}, {*SYSTEM, "/identifier", *ARMS}),
         ("fingerprint", {"session": "a", "views_from": "stored"}, {*SYSTEM, "/identifier"}),
         ("identify", {"once": "false"}, {*SYSTEM, "/identifier", "/recorder", *ARMS}),
         ("identify", {"sessions": "a", "replay": "b"}, {"/identifier"}),
-        (
-            "replay",
-            {"bag": "nowhere.bag"},
-            {*SYSTEM, "/replay", "/monitor", "/identifier", *ARMS},
-        ),
+        ("replay", {"bag": "nowhere.bag"}, {*SYSTEM, "/replay", "/monitor", "/identifier", *ARMS}),
     ],
 )
 def test_launch_requires_unused_names(master, tmp_path, name, arguments, names):

@@ -32,7 +32,7 @@ from embodied_active_learning.ros.runtime.master import connection_error
 from embodied_active_learning.session.session import session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 
-_COMMON_PACKAGES = dict.fromkeys(("torch", "cv2", "pybullet", "tf2_ros"), "make install")
+_COMMON_PACKAGES = dict.fromkeys(("torch", "cv2", "sklearn", "pybullet", "tf2_ros"), "make install")
 """Python packages of all nodes that may be missing, and the command that installs each."""
 _READ_MESSAGE = "read the message"
 
