@@ -109,7 +109,7 @@ class VelocityServiceTest(unittest.TestCase):
         self.switch("hang", True)
         thread.join(TIMEOUT)
         self.assertIn("no response from /klerg_cmd: none within 0.4 s", answers[0].message)
-        self.assertIn("/klerg_cmd", self.recover().message)
+        until(lambda: "/klerg_cmd" in self.recover().message)  # once the arm is known to be at rest
         self.switch("hang", False)
         self.assertFalse(self.move(0.01, 0.0, 0.0, 0.1).success)
         until(lambda: self.recover().success)
