@@ -1,9 +1,9 @@
 """Colour features that change little with the light, and the colours of the table.
 
 A feature is (log luminance, red and green share of the colour). A change of brightness adds a constant to the first
-component and leaves the others, so light can be corrected where images are compared; so can the white balance. In dark
-pixels, both are changed by what makes them stable: see log_luminance and dark_factor. Shares
-are multiplied by three: a small relative change of one channel is then about as large in either kind of component.
+component and leaves the others, so light can be corrected where images are compared; so can the white balance. Dark
+pixels are an exception: constants keep their features stable, see log_luminance and dark_factor. Shares are multiplied
+by three: a small relative change of one channel is then about as large in either kind of component.
 """
 
 from __future__ import annotations

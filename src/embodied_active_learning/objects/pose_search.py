@@ -185,10 +185,9 @@ def _around(pose: np.ndarray, step: float, turn: float) -> np.ndarray:
 def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndarray:
     """Match (C + 1, S, S) of the mosaic with each colour (C, 3) under a gain, and with the best of them."""
     layers = []
-    darkness = dark_factor(luminance_of(mosaic.features))[..., None]
     for colour in colours:
         luminance = luminance_of(colour)
-        shift = mosaic.features[..., 1:] - colour[1:] / dark_factor(luminance) * darkness
+        shift = mosaic.features[..., 1:] - colour[1:] / dark_factor(luminance) * mosaic.darkness[..., None]
         shift = np.sign(shift) * np.maximum(np.abs(shift) - _BALANCE, 0.0)
         error = ((mosaic.features[..., 0] - log_luminance(np.exp(gain) * luminance)) / LUMINANCE_SCALE) ** 2
         layers.append(mosaic.seen / (1.0 + error + colour_distance(shift) / COLOUR_SCALE**2))

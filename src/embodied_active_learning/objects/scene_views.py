@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.objects.appearance import sample_image
-from embodied_active_learning.objects.colours import blurred, colour_features
+from embodied_active_learning.objects.colours import blurred, colour_features, dark_factor, luminance_of
 from embodied_active_learning.objects.relief import Relief, relief_at
 from embodied_active_learning.workspace import Workspace
 
@@ -61,6 +61,7 @@ class Mosaic:
         x, y: (S,) coordinates of the pixels' columns and rows [m].
         colours: (S, S, 3) uint8; row index along y.
         features: (S, S, 3).
+        darkness: (S, S) dark_factor of the pixels.
         seen: (S, S) whether the pixel was in view.
         inside: (S, S) whether it lies in the workspace or its margin, where an object may have its centre.
         in_workspace: (S, S) whether it lies in the workspace, where the camera can look straight down at it.
@@ -85,6 +86,7 @@ class Mosaic:
         self._lower, self._upper = lower, upper
         self.colours, self.seen = colours.reshape(size, size, 3), seen.reshape(size, size)
         self.features = colour_features(self.colours)
+        self.darkness = dark_factor(luminance_of(self.features))
         self.inside, self.in_workspace = (
             ((points >= lower - border) & (points <= upper + border)).all(axis=1).reshape(size, size)
             for border in (margin, 0.0)

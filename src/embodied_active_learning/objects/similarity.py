@@ -108,10 +108,8 @@ def matches(
     inside, ring = _points(appearance, stored)
     seen, valid = views.features(view, to_base_frame(inside.positions, poses))
     seen_ring, _ = views.features(view, to_base_frame(ring.positions, poses))
-    scale, gain = _scale(appearance), _first_gain(seen, valid, inside)
-    change = _change(seen, inside, gain)
-    light = _fit_light(change, valid, inside, scale, gain)
-    return _match(change, inside, light, scale)[0], _match(_change(seen_ring, ring, gain), ring, light, scale)[0]
+    of_inside, of_ring = _matches(seen, valid, seen_ring, inside, ring, _scale(appearance))
+    return of_inside[0], of_ring[0]
 
 
 def _scale(appearance: Appearance) -> Tuple[float, float]:
@@ -127,11 +125,8 @@ def _in_view(
     inside, ring = _points(appearance, stored, stride)
     seen, inside_valid = views.features(view, to_base_frame(inside.positions, poses))
     seen_ring, ring_valid = views.features(view, to_base_frame(ring.positions, poses))
-    scale, gain = _scale(appearance), _first_gain(seen, inside_valid, inside)
-    change = _change(seen, inside, gain)
-    light = _fit_light(change, inside_valid, inside, scale, gain)
-    of_inside = _mean(_match(change, inside, light, scale), inside_valid)
-    of_ring = _mean(_match(_change(seen_ring, ring, gain), ring, light, scale), ring_valid)
+    match, match_of_ring = _matches(seen, inside_valid, seen_ring, inside, ring, _scale(appearance))
+    of_inside, of_ring = _mean(match, inside_valid), _mean(match_of_ring, ring_valid)
     of_ring = np.where(ring_valid.mean(axis=1) < _MIN_RING, _UNSEEN_RING, of_ring)
     return np.where(inside_valid.mean(axis=1) < _MIN_INSIDE, -1.0, of_inside - of_ring)
 
@@ -149,21 +144,28 @@ def _points_with(positions: np.ndarray, features: np.ndarray) -> Points:
     return Points(positions, luminance, shares, balance_jacobian(features))
 
 
-def _first_gain(features: np.ndarray, valid: np.ndarray, points: Points) -> np.ndarray:
-    """Median gain (P,) of the luminance in features (P, K, 3) seen at points, of which (P, K) are valid."""
-    gains = np.log(luminance_of(features) / points.luminance)
-    return np.asarray(masked_median(gains, valid, 1, 0.0).astype(np.float32))
+def _matches(
+    seen: np.ndarray, valid: np.ndarray, seen_ring: np.ndarray, inside: Points, ring: Points, scale: Tuple[float, float]
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Match of the points inside (P, I) and of the ring (P, R), in light that is fitted to the valid ones inside."""
+    luminance = luminance_of(seen)
+    gain: np.ndarray = masked_median(np.log(luminance / inside.luminance), valid, 1, 0.0).astype(np.float32)
+    change = _change(seen, luminance, inside, gain)
+    light = _fit_light(change, valid, inside, scale, gain)
+    change_of_ring = _change(seen_ring, luminance_of(seen_ring), ring, gain)
+    return _match(change, inside, light, scale), _match(change_of_ring, ring, light, scale)
 
 
-def _change(features: np.ndarray, points: Points, gain: np.ndarray) -> np.ndarray:
-    """Change (P, K, 3) to the features seen at points (P, K, 3), as if they were as bright as those: near a gain (P,).
+def _change(features: np.ndarray, luminance: np.ndarray, points: Points, gain: np.ndarray) -> np.ndarray:
+    """Change (P, K, 3) of the features of points, to those seen under about a gain (P,) of the light.
 
-    What is added to dark pixels changes more where the light changes more, so it is applied to the points as well.
+    What keeps the features of dark pixels stable depends on their luminance (P, K). It is applied to the points as
+    well, as if the stored view had been as bright as the other one.
     """
     change: np.ndarray = np.empty_like(features)
     expected = log_luminance(np.exp(gain)[:, None] * points.luminance)
     change[..., 0] = features[..., 0] - expected + gain[:, None]
-    change[..., 1:] = features[..., 1:] - points.shares * dark_factor(luminance_of(features))[..., None]
+    change[..., 1:] = features[..., 1:] - points.shares * dark_factor(luminance)[..., None]
     return change
 
 

@@ -14,7 +14,7 @@ from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime.master import CALL_ERRORS, server_proxy
 
 ARM_NODES = (*(arm.node for arm in ARMS.values()), "camera_pipeline")
-"""Nodes of all arms."""
+"""Nodes of all arms and of their cameras."""
 
 
 def own_name(default: str) -> str:
