@@ -11,8 +11,8 @@ import numpy as np
 import embodied_active_learning as eal
 
 
-@eal.EXPLORERS.register("sweep")
-class SweepExplorer(eal.Explorer):
+@eal.EXPLORERS.register("lawnmower")
+class LawnmowerExplorer(eal.Explorer):
     """Visits a grid of poses row by row, whatever the target is."""
 
     def __init__(self, config: eal.Config, seed: int) -> None:
@@ -44,7 +44,7 @@ class SweepExplorer(eal.Explorer):
         return np.empty((0, 3))
 
 
-@eal.MEASURES.register("variance")
+@eal.INFORMATION_MEASURES.register("variance")
 def variance(log_std, coverage):
     """Return a target distribution (S,) proportional to the predicted variance."""
     weights = np.exp(2.0 * (log_std - log_std.max()))
@@ -55,5 +55,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("steps", type=int, nargs="?", default=200)
     steps = parser.parse_args().steps
-    config = eal.load_config("demo", explorer="sweep", measure="variance", steps=steps)
+    config = eal.load_config("demo", explorer="lawnmower", measure="variance", steps=steps)
     print(eal.learn(config).paths.path)

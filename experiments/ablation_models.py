@@ -23,7 +23,7 @@ from table1 import finished
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.evaluation.ergodicity import draw_independent, view_features
 from embodied_active_learning.evaluation.table1 import RULES, ensure_fingerprints, measure
-from embodied_active_learning.objects.report import true_kinds
+from embodied_active_learning.objects.scoring import true_kinds
 from embodied_active_learning.pipeline.api import load_session
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model

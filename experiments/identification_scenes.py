@@ -19,7 +19,7 @@ from embodied_active_learning.errors import WorldError
 from embodied_active_learning.evaluation.result_tables import binomial_interval
 from embodied_active_learning.objects.decision import UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.report import SAME_PLACE, nearest
+from embodied_active_learning.objects.scoring import SAME_PLACE, nearest
 from embodied_active_learning.simulation.disturbance import Disturbance
 from embodied_active_learning.simulation.placed_objects import PlacedObject
 from embodied_active_learning.simulation.random_world import random_world

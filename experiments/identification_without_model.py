@@ -37,8 +37,8 @@ from embodied_active_learning.objects.collection import is_new_view
 from embodied_active_learning.objects.decision import decisions_about
 from embodied_active_learning.objects.decision_rule import DecisionRule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
-from embodied_active_learning.objects.report import nearest
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
+from embodied_active_learning.objects.scoring import nearest
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world
 from embodied_active_learning.simulation.scene import Scene

@@ -23,11 +23,11 @@ from scipy.optimize import linear_sum_assignment
 
 import embodied_active_learning as eal
 from embodied_active_learning.config import Config
-from embodied_active_learning.model.checkpoint import network_weights
+from embodied_active_learning.model.learner_state import network_weights
 from embodied_active_learning.model.metrics import Evaluation
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.clustering import find_objects
-from embodied_active_learning.objects.report import SAME_PLACE
+from embodied_active_learning.objects.scoring import SAME_PLACE
 from embodied_active_learning.objects.stability import StoppingCriterion
 from embodied_active_learning.pipeline.stopping import CHECK_EVERY, measure
 from embodied_active_learning.session.fingerprints import has_fingerprints

@@ -9,7 +9,7 @@ from embodied_active_learning.errors import EmbodiedActiveLearningError, Session
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.report import SAME_PLACE, Truth, nearest, score
+from embodied_active_learning.objects.scoring import SAME_PLACE, Truth, nearest, score
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import Session

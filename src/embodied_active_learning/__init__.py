@@ -18,7 +18,7 @@ _PUBLIC = {
     "Config": "config",
     "EXPLORERS": "registry",
     "Explorer": "exploration.explorer",
-    "MEASURES": "registry",
+    "INFORMATION_MEASURES": "registry",
     "PoseCommand": "exploration.commands",
     "Session": "session.session",
     "VelocityCommand": "exploration.commands",

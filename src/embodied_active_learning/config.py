@@ -26,7 +26,7 @@ from embodied_active_learning.hardware_config import (
     SimulationConfig,
     WorkspaceConfig,
 )
-from embodied_active_learning.registry import EXPLORERS, MEASURES
+from embodied_active_learning.registry import EXPLORERS, INFORMATION_MEASURES
 from embodied_active_learning.schema import build, check_keys, setting, suggestion, to_plain
 from embodied_active_learning.update_plan import UpdatePlan
 from embodied_active_learning.workspace import STATE_NAMES
@@ -77,7 +77,7 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class ObjectiveConfig:
-    """The loss and the schedule of its weights (paper, Sec. 4, loss formulation, and Alg. 1)."""
+    """The loss and its weights beta and gamma (paper, Sec. 4, loss formulation, and Alg. 1)."""
 
     chi: float = setting(
         4.0, "scale of the latent regularisation: log10 beta = -log10(min h / max h) - chi", "", 0.0, 20.0
@@ -127,7 +127,9 @@ class ExplorationConfig:
 
     explorer: str = setting("ergodic", "exploration strategy, or module:Class", choices=EXPLORERS, fixed=True)
     measure: str = setting(
-        "conditional_entropy", "information measure that becomes the target, or module:function", choices=MEASURES
+        "conditional_entropy",
+        "information measure that becomes the target, or module:function",
+        choices=INFORMATION_MEASURES,
     )
     steps: int = setting(
         3000, "exploration steps, one observation each; an upper limit with stop: stable", "", 1, 1000000

@@ -21,6 +21,10 @@ class CorruptFileError(SessionError):
     """A stored file is damaged or of another format."""
 
 
+class DivergenceError(EmbodiedActiveLearningError):
+    """The loss or its gradient was invalid for several batches in a row, or weights or moments are not finite."""
+
+
 class BagError(EmbodiedActiveLearningError):
     """A bag is damaged, has no suitable messages, or cannot be written."""
 

@@ -111,7 +111,9 @@ class ArmConfig:
     commander_timeout: float = setting(
         5.0, "wall time without a heartbeat after which a commander loses control of the arm", "s", 0.1, 600.0
     )
-    retries: int = setting(5, "retries of a failed command, with increasing pauses, before giving up", "", 0, 100)
+    retries: int = setting(
+        5, "consecutive failures of the arm that are tolerated, with increasing pauses, before giving up", "", 0, 100
+    )
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ EXPLORERS = Registry(
 )
 """Values of exploration/explorer: callables (config: Config, seed: int) -> Explorer."""
 
-MEASURES = Registry(
+INFORMATION_MEASURES = Registry(
     "information measure",
     {"conditional_entropy": "embodied_active_learning.exploration.ergodic_objective:target_distribution"},
 )

@@ -12,8 +12,8 @@ import yaml
 
 from embodied_active_learning.config import Config, load_profile
 from embodied_active_learning.errors import ConfigError, CorruptFileError, EmbodiedActiveLearningError, WorldError
-from embodied_active_learning.model.checkpoint import NETWORK
 from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.learner_state import NETWORK
 from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.pipeline.exploration import ExplorationRun

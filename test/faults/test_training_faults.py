@@ -11,8 +11,8 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model import learner as learner_module
-from embodied_active_learning.model.checkpoint import LearnerState
 from embodied_active_learning.model.learner import ATTEMPTS
+from embodied_active_learning.model.learner_state import LearnerState
 from embodied_active_learning.pipeline.training import ROLLBACKS, TrainingRun
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.observations import DATA_FILE
@@ -302,6 +302,16 @@ def test_far_too_high_learning_rate_is_named_as_the_cause(tmp_path, rate):
     assert "lower training/learning_rate" in error
     resumed = TrainingRun(configured(tmp_path, resume=True))
     resumed.close()
+
+
+def test_stop_with_non_finite_weights_keeps_last_good_state(tmp_path):
+    run = TrainingRun(configured(tmp_path))
+    with training(run) as (_, _, errors):
+        learn(run, 6)
+        with torch.no_grad():
+            next(run._learner.network.parameters()).fill_(float("nan"))
+    assert not errors
+    assert run.rollbacks == 1
 
 
 def test_moments_that_are_not_finite_are_not_saved(tmp_path):

@@ -18,7 +18,7 @@ from embodied_active_learning.figures.top_view import compose_top_view
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.report import Truth
+from embodied_active_learning.objects.scoring import Truth
 
 CONFIG = Config.from_dict({"camera": {"width": 24, "height": 20}, "model": {"latent_size": 2}})
 WORKSPACE = CONFIG.workspace.box()

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError
+from embodied_active_learning.errors import ConfigError, CorruptFileError, DivergenceError, ObservationError
 from embodied_active_learning.model import build
 from embodied_active_learning.model.build import choose_device, choose_loss
-from embodied_active_learning.model.checkpoint import LearnerState
-from embodied_active_learning.model.learner import DivergenceError, Learner
+from embodied_active_learning.model.learner import Learner
+from embodied_active_learning.model.learner_state import LearnerState
 from embodied_active_learning.model.loss import PlainLoss
 from threads import wait_for
 
@@ -169,7 +169,7 @@ def test_observations_are_used_from_their_update_on():
     assert seen == [8, 8, 8, 9, 9, 9, 10, 10, 10]
 
 
-def test_schedule_is_evaluated_at_its_interval():
+def test_loss_weights_are_evaluated_at_their_interval():
     learner = make()
     coverages = []
     for count in (10, 20, 30, 35):
@@ -247,7 +247,7 @@ def test_evaluation_subset_changes_little_while_a_run_grows():
     assert set(evaluated(learner, 201)) - set(evaluated(learner, 200)) <= {200}
 
 
-def test_schedule_uses_configured_coverage():
+def test_loss_weights_use_configured_coverage():
     ours, theirs = (make(8, exploration={"authors_coverage": authors}).update().coverage for authors in (False, True))
     assert theirs > 1.02 * ours  # divided by the largest kernel
 
@@ -507,12 +507,12 @@ def test_average_is_weighted_by_updates():
     assert learner.updates == 4
 
 
-def test_trainers_in_turn_evaluate_schedule_as_often_as_one():
-    """The schedule is due at each second number."""
+def test_trainers_in_turn_evaluate_loss_weights_as_often_as_one():
+    """The loss weights are due at each second number."""
     turns, single = make(), make()
     numbers = [turns.update(trainers=2).update for _ in range(3)]
     for _ in range(6):
         single.update()
     assert numbers == [2, 4, 6]
     assert turns.updates == single.updates == 6
-    assert len(turns.schedule.state_dict()["window"]) == len(single.schedule.state_dict()["window"]) == 3
+    assert len(turns.loss_weights.state_dict()["window"]) == len(single.loss_weights.state_dict()["window"]) == 3

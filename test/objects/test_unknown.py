@@ -6,7 +6,7 @@ import pytest
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.figures.unknown_objects import draw_unknown
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
-from embodied_active_learning.objects.report import unknown_text
+from embodied_active_learning.objects.decision_table import unknown_text
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.unknown import find_unknown
 from embodied_active_learning.workspace import Workspace

@@ -12,7 +12,7 @@ import yaml
 from embodied_active_learning.config import Config
 from embodied_active_learning.objects.decision import NOT_HERE
 from embodied_active_learning.objects.fingerprint import OBJECT
-from embodied_active_learning.objects.report import nearest, true_kinds
+from embodied_active_learning.objects.scoring import nearest, true_kinds
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints
 from embodied_active_learning.session.identifications import load_identification, load_trace
 from embodied_active_learning.session.session import Session

@@ -49,12 +49,12 @@ def test_read_a_session_prints_its_content(capsys, tmp_path):
 def test_own_explorer_and_measure_are_used():
     try:
         load("own_explorer")
-        session = eal.learn(eal.load_config("", explorer="sweep", measure="variance"))
+        session = eal.learn(eal.load_config("", explorer="lawnmower", measure="variance"))
         states = session.read_table("exploration")
         assert states["y"][-1] != states["y"][0]
     finally:
-        eal.EXPLORERS.unregister("sweep")
-        eal.MEASURES.unregister("variance")
+        eal.EXPLORERS.unregister("lawnmower")
+        eal.INFORMATION_MEASURES.unregister("variance")
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)

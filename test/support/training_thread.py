@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.model.learner import DivergenceError
+from embodied_active_learning.errors import DivergenceError
 
 TIMEOUT = 60.0
 STEPS = 20

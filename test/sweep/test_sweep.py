@@ -10,8 +10,7 @@ import pytest
 import yaml
 
 import embodied_active_learning as eal
-from embodied_active_learning.errors import MissingPackageError, SessionError
-from embodied_active_learning.model.learner import DivergenceError
+from embodied_active_learning.errors import DivergenceError, MissingPackageError, SessionError
 from embodied_active_learning.session.paths import LOCK_FILE
 from embodied_active_learning.sweep import jobs as sweep_jobs
 from embodied_active_learning.sweep import runner

@@ -1,7 +1,7 @@
 """Several trainers: local SGD over torch.distributed, where any worker may fail at any time.
 
-The owner is the trainer of a run: it stores the observations and owns schedule, checkpoints and services. Workers are
-processes on this or other computers that hold a copy of the observations in memory and no other state.
+The owner is the trainer of a run: it stores the observations and owns loss weights, checkpoints and services. Workers
+are processes on this or other computers that hold a copy of the observations in memory and no other state.
 
 Round. The owner sends each worker the observations it lacks and the weights; all trainers make their share of the
 round's updates from draws of their own; the owner averages the weights, in proportion to the updates made. Adam's

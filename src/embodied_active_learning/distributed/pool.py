@@ -251,8 +251,8 @@ class WorkerPool:
                 slot=worker.status.slot,
                 rollbacks=learner.rollbacks,
                 with_moments=int(joins),
-                beta=learner.schedule.beta,
-                gamma=learner.schedule.gamma,
+                beta=learner.loss_weights.beta,
+                gamma=learner.loss_weights.gamma,
             )
             worker.rollbacks, worker.result = learner.rollbacks, None
             worker.task = Task(header, len(self._observations), weights, moments if joins else None)

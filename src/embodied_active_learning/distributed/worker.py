@@ -22,8 +22,9 @@ from embodied_active_learning.distributed.messages import (
     empty_response,
     ticket_name,
 )
+from embodied_active_learning.errors import DivergenceError
 from embodied_active_learning.model.build import set_threads
-from embodied_active_learning.model.learner import DivergenceError, Learner
+from embodied_active_learning.model.learner import Learner
 
 LOG = logging.getLogger(__name__)
 

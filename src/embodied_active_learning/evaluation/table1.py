@@ -15,7 +15,7 @@ from embodied_active_learning.evaluation.result_tables import binomial_interval
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
-from embodied_active_learning.objects.report import SAME_PLACE, Truth, nearest, score, true_kinds
+from embodied_active_learning.objects.scoring import SAME_PLACE, Truth, nearest, score, true_kinds
 from embodied_active_learning.pipeline.api import fingerprint, identify
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session

@@ -34,8 +34,8 @@ def target_distribution(log_std: np.ndarray, coverage: float) -> np.ndarray:
     invalid = np.count_nonzero(~np.isfinite(log_std))
     if invalid:
         raise EmbodiedActiveLearningError(
-            f"conditional entropy not finite at {invalid} of {log_std.size} samples: the model has diverged; delete "
-            "the newest file in the session's checkpoints/ and resume"
+            f"conditional entropy not finite at {invalid} of {log_std.size} samples: the model has diverged; lower "
+            "training/learning_rate"
         )
     return normalise(np.exp(coverage * (log_std - log_std.max())))
 

@@ -13,7 +13,9 @@ from embodied_active_learning.state_dict import StateDict
 
 
 class Explorer(ABC):
-    """Chooses the next motion. In each step, `observe` the reached state, then ask for `next_command`.
+    """Chooses the next motion. Constructed as `Class(config, seed)` from the run's Config and the seed of its draws.
+
+    In each step, `observe` the reached state, then ask for `next_command`.
 
     Explorers are compared by the KL-ergodic measure of the states they visit, which is computed outside of them.
     """
@@ -23,8 +25,8 @@ class Explorer(ABC):
         """Report where the arm is.
 
         Args:
-            position: (D,) normalised state.
-            measured_velocity: (D,) [m/s, m/s, rad/s]; None if unknown.
+            position: (D,) state, normalised to [-1, 1].
+            measured_velocity: (D,) [m/s, m/s, rad/s], not normalised; None if unknown.
         """
 
     @abstractmethod

@@ -31,7 +31,7 @@ from embodied_active_learning.figures.workspace_axes import (
 )
 from embodied_active_learning.objects.beliefs import prominence, shared_scale
 from embodied_active_learning.objects.decision import Decision
-from embodied_active_learning.objects.report import NO_TRUTH, Truth
+from embodied_active_learning.objects.scoring import NO_TRUTH, Truth
 from embodied_active_learning.workspace import Workspace
 
 # Layout in inches. Explicit, because Matplotlib's layout engine takes half a minute for 60 maps.

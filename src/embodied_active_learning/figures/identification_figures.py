@@ -12,8 +12,8 @@ from embodied_active_learning.figures.top_view import compose_top_view
 from embodied_active_learning.figures.unknown_objects import draw_unknown
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import OBJECT
-from embodied_active_learning.objects.report import NO_TRUTH, Truth
 from embodied_active_learning.objects.scene_views import SceneViews
+from embodied_active_learning.objects.scoring import NO_TRUTH, Truth
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.pipeline.identification import IdentificationRun
 

@@ -40,7 +40,7 @@ from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.report import NO_TRUTH, Truth
+from embodied_active_learning.objects.scoring import NO_TRUTH, Truth
 from embodied_active_learning.subsampling import spread_indices
 
 NEAR_DECISION = 0.03

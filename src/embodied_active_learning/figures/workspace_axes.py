@@ -18,7 +18,7 @@ from embodied_active_learning.figures.top_view import TopView
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.report import Truth
+from embodied_active_learning.objects.scoring import Truth
 from embodied_active_learning.workspace import Workspace
 
 Extent = Tuple[float, float, float, float]

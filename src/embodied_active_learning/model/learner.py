@@ -10,11 +10,12 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
+from embodied_active_learning.errors import CorruptFileError, DivergenceError
 from embodied_active_learning.exploration.kernel import CoverageKernel, workspace_coverage
 from embodied_active_learning.model.batches import BatchReader, ObservationSource
 from embodied_active_learning.model.build import build_network, choose_device, choose_inference, choose_loss
-from embodied_active_learning.model.checkpoint import (
+from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.model.learner_state import (
     ADAM,
     NETWORK,
     PREVIOUS,
@@ -26,27 +27,22 @@ from embodied_active_learning.model.checkpoint import (
     unpack,
     with_prefix,
 )
-from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.loss import LossFunction, LossTerms
+from embodied_active_learning.model.loss_weights import LossWeights
 from embodied_active_learning.model.metrics import Evaluation, active_units, evaluate_model
 from embodied_active_learning.model.optimiser import Optimiser
 from embodied_active_learning.model.replicas import Replicas
-from embodied_active_learning.model.schedule import Schedule
 
 ATTEMPTS = 5  # batches tried for one update before an invalid loss counts as divergence
 LOSS_LIMIT = 1e6  # nats per pixel value; a healthy model stays below 1e5 even if it is sure of a wrong image
 BATCHES_STREAM, STATES_STREAM, SUBSET_STREAM, WORKER_STREAM = 201, 202, 203, 204  # of random numbers, for SeedSequence
 
 
-class DivergenceError(EmbodiedActiveLearningError):
-    """The loss or its gradient was invalid for several batches in a row, or weights or moments are not finite."""
-
-
 @dataclass(frozen=True)
 class UpdateReport:
     """One update: the loss, its terms and weights, and the active units of the mini-batch.
 
-    coverage, log_std_min and log_std_max are from the latest evaluation of the schedule.
+    coverage, log_std_min and log_std_max are from the latest evaluation of the loss weights.
     """
 
     update: int
@@ -64,7 +60,7 @@ class UpdateReport:
 
 
 class Learner:
-    """Network, optimiser and schedule of one run. Draws random numbers only from generators of its own.
+    """Network, optimiser and loss weights of one run. Draws random numbers only from generators of its own.
 
     One thread may call the methods; `replicas` may be used from any thread.
     """
@@ -94,7 +90,7 @@ class Learner:
         self.loss = choose_loss(self._network, self.device) if loss is None else loss
         self._reader = BatchReader(observations, self.device)
         self._variance = CoverageKernel.from_config(config).variance
-        self.schedule = Schedule(config.objective)
+        self.loss_weights = LossWeights(config.objective)
         self.updates = 0
         self.skipped = 0
         self.rollbacks = 0
@@ -109,7 +105,7 @@ class Learner:
         return self._network
 
     def prepare(self, trainers: int = 1) -> None:
-        """Do what precedes the next update: initialise the colour, and evaluate the schedule if that is due.
+        """Do what precedes the next update: initialise the colour, and evaluate the loss weights if that is due.
 
         Args:
             trainers: Number of trainers that take turns in numbering the updates. Of four, this one makes updates 0, 4,
@@ -120,8 +116,8 @@ class Learner:
         count = self._count(self.updates)
         if self.updates == 0 and self._config.training.start_at_mean_colour:
             self.network.set_initial_colour(self._mean_colour(count))
-        if self._schedule_due(trainers):
-            self._evaluate_schedule(count)
+        if self._loss_weights_due(trainers):
+            self._evaluate_loss_weights(count)
         self._prepared = self.updates
 
     def update(self, trainers: int = 1) -> UpdateReport:
@@ -137,7 +133,7 @@ class Learner:
             DivergenceError: ATTEMPTS losses or gradients in a row were not finite, or too large.
         """
         self.prepare(trainers)
-        number, beta, gamma = self.updates, self.schedule.beta, self.schedule.gamma
+        number, beta, gamma = self.updates, self.loss_weights.beta, self.loss_weights.gamma
         terms = self.step(number, beta, gamma)
         self.updates = number + trainers  # the workers make those in between
         return UpdateReport(
@@ -149,10 +145,10 @@ class Learner:
             kl=float(terms.kl),
             beta=beta,
             gamma=gamma,
-            coverage=self.schedule.coverage,
+            coverage=self.loss_weights.coverage,
             active_units=active_units(terms.latent_means),
-            log_std_min=self.schedule.log_std_min,
-            log_std_max=self.schedule.log_std_max,
+            log_std_min=self.loss_weights.log_std_min,
+            log_std_max=self.loss_weights.log_std_max,
         )
 
     def step(self, number: int, beta: float, gamma: float) -> LossTerms:
@@ -266,7 +262,7 @@ class Learner:
         self._random = np.random.default_rng(np.random.SeedSequence([self._seed, WORKER_STREAM, *key]))
 
     def state_dict(self) -> LearnerState:
-        """Return a copy of the state: weights, moments, counters, schedule and random generator.
+        """Return a copy of the state: weights, moments, counters, loss weights and random generator.
 
         Includes the model before the newest, because the planner may ask for that next.
         """
@@ -276,7 +272,7 @@ class Learner:
             "skipped": self.skipped,
             "rollbacks": self.rollbacks,
             "snapshot_updates": self.replicas.updates,
-            "schedule": self.schedule.state_dict(),
+            "schedule": self.loss_weights.state_dict(),
             "generator": self._random.bit_generator.state,
         }
         tensors = copy_with_prefix(NETWORK, dict(self._network.named_parameters()))
@@ -334,7 +330,7 @@ class Learner:
         self.updates, self.skipped = int(counters["updates"]), int(counters["skipped"])
         self._prepared = -1
         self.rollbacks = int(counters.get("rollbacks", 0))
-        self.schedule.load_state_dict(counters["schedule"])
+        self.loss_weights.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
 
     def _compute_gradients(self, count: int, beta: float, gamma: float) -> LossTerms:
@@ -350,10 +346,10 @@ class Learner:
         """Number of observations, from the first on, that update number `update` (from 0) uses."""
         return min(len(self._observations), self._config.update_plan.observations_needed(update))
 
-    def _schedule_due(self, trainers: int) -> bool:
-        """Whether the schedule is evaluated before the next updates of all trainers.
+    def _loss_weights_due(self, trainers: int) -> bool:
+        """Whether the loss weights are evaluated before the next updates of all trainers.
 
-        It is evaluated at each multiple of schedule_every: with 25 and four trainers, before updates 24 to 27.
+        They are evaluated at each multiple of schedule_every: with 25 and four trainers, before updates 24 to 27.
         """
         every = self._config.objective.schedule_every
         return any(number % every == 0 for number in range(self.updates, self.updates + trainers))
@@ -363,13 +359,13 @@ class Learner:
         images = self._observations.images[:count]
         return torch.from_numpy(images.mean(axis=(0, 1, 2)) / 255.0).to(self.device, torch.float32)
 
-    def _evaluate_schedule(self, count: int) -> None:
+    def _evaluate_loss_weights(self, count: int) -> None:
         states = self._workspace_states(self._random)
         with torch.no_grad():
             log_std = self._log_std_over(states, count)
         visited = self._observations.states[:count]
         authors = self._config.exploration.authors_coverage
-        self.schedule.evaluate(log_std, workspace_coverage(states, visited, self._variance, authors))
+        self.loss_weights.evaluate(log_std, workspace_coverage(states, visited, self._variance, authors))
 
     def _workspace_states(self, random: np.random.Generator) -> np.ndarray:
         """(S, D) uniform in the workspace, normalised."""

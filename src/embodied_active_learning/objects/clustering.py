@@ -121,9 +121,7 @@ def find_objects(
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == TABLE:
         points, yaws = _foreground_points(samples, states, images, background, config, random)
-        standing = visible.stands_at(points)
-        clusters = _cluster(points[standing], yaws[standing], settings, workspace)
-        objects = [cluster for cluster in clusters if _is_near(visible.things, cluster.centre, settings.merge_distance)]
+        objects = _visible_clusters(points, yaws, visible, settings, workspace)
     else:
         objects = _cluster(samples[:, :2], samples[:, 2], settings, workspace)
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
@@ -202,14 +200,23 @@ def _foreground_points(
     return np.concatenate(points), np.concatenate(yaws)
 
 
+def _visible_clusters(
+    points: np.ndarray, yaws: np.ndarray, visible: ForegroundMap, settings: FingerprintConfig, workspace: Workspace
+) -> List[Cluster]:
+    """Cluster those of the table points (P, 2) [m] with yaws (P,) where something stands; keep what is visible."""
+    standing = visible.stands_at(points)
+    clusters = _cluster(points[standing], yaws[standing], settings, workspace)
+    return [cluster for cluster in clusters if _is_near(visible.things, cluster.centre, settings.merge_distance)]
+
+
 def _cluster(points: np.ndarray, yaws: np.ndarray, settings: FingerprintConfig, workspace: Workspace) -> List[Cluster]:
     """Cluster points (P, 2) [m] with yaws (P,), largest first, without clusters that are small or near a larger one."""
     if not len(points):
         return []
-    shift = mean_shift(points, settings.bandwidth, bin_seeding=True, cluster_all=False)
+    centres, labels = mean_shift(points, settings.bandwidth, bin_seeding=True, cluster_all=False)
     found = []
-    for label, centre in enumerate(shift.cluster_centers_):
-        members = shift.labels_ == label
+    for label, centre in enumerate(centres):
+        members = labels == label
         yaw = _mean_yaw(yaws[members], workspace)
         found.append(Cluster(OBJECT, np.array([*centre, yaw]), float(members.mean())))
     kept: List[Cluster] = []
@@ -233,10 +240,10 @@ def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:
 
 def _blank_region(states: np.ndarray) -> Cluster:
     """Return the largest cluster of the states (B, 3) with the lowest entropy; yaw is irrelevant there and set to 0."""
-    shift = mean_shift(states[:, :2], _BLANK_BANDWIDTH, bin_seeding=True, cluster_all=False)
-    sizes = np.bincount(shift.labels_[shift.labels_ >= 0])
+    centres, labels = mean_shift(states[:, :2], _BLANK_BANDWIDTH, bin_seeding=True, cluster_all=False)
+    sizes = np.bincount(labels[labels >= 0])
     largest = int(sizes.argmax())
-    return Cluster(BLANK, np.array([*shift.cluster_centers_[largest], 0.0]), float(sizes[largest] / len(states)))
+    return Cluster(BLANK, np.array([*centres[largest], 0.0]), float(sizes[largest] / len(states)))
 
 
 def _is_reachable(cluster: Cluster, workspace: Workspace, settings: FingerprintConfig) -> bool:

@@ -92,7 +92,7 @@ class FingerprintSet:
         observations: Number of observations the model had learned from.
         created: UTC time, ISO 8601 with its offset.
         config: The session's configuration.
-        weights: Parameters of the network by name (model/checkpoint.py, `network_weights`).
+        weights: Parameters of the network by name (model/learner_state.py, `network_weights`).
         fingerprints: With unique names; images and latents have the sizes of the configuration.
 
     Raises:

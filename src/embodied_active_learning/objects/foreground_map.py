@@ -71,8 +71,7 @@ class ForegroundMap:
         for region in range(1, count + 1):
             cells = np.argwhere(regions == region)
             if len(cells) >= _MIN_CELLS:
-                shift = mean_shift(cells, _WIDTH / _CELL, seeds=cells[::_SEED_STRIDE])
-                centres.append(shift.cluster_centers_)
+                centres.append(mean_shift(cells, _WIDTH / _CELL, seeds=cells[::_SEED_STRIDE]).centres)
         return self.lower + (np.concatenate(centres) + 0.5) * _CELL
 
 

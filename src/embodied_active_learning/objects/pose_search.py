@@ -40,7 +40,10 @@ _STARTS = 6
 _CLIMBS = 3
 """Starts that are followed to their most similar pose: the first comparison may prefer an object turned by half."""
 MIN_VIEWS = 3
-"""Views from near a place without which an object is not found there."""
+"""Views from near a place without which an object is not found there.
+
+Calibration simulates as many: raise CALIBRATION_VERSION (objects/limits.py) if this changes.
+"""
 _FAR = 1.5
 """Where there are fewer, views from up to this many times as far may show that it is not there."""
 _SEARCH_VIEWS = 2

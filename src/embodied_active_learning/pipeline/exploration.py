@@ -17,7 +17,7 @@ from embodied_active_learning.exploration.ergodic_objective import (
 )
 from embodied_active_learning.exploration.explorer import Explorer
 from embodied_active_learning.exploration.samples import WorkspaceSamples
-from embodied_active_learning.registry import EXPLORERS, MEASURES
+from embodied_active_learning.registry import EXPLORERS, INFORMATION_MEASURES
 from embodied_active_learning.rng import resumed_seed
 from embodied_active_learning.state_dict import StateDict, add_prefix, matching_arrays, select_prefix
 
@@ -104,7 +104,7 @@ class ExplorationRun:
         config = replace(config, exploration=exploration)
         self._samples = WorkspaceSamples(config, self._workspace.normalise(visited))
         self._explorer: Explorer = EXPLORERS[exploration.explorer](config, seed)
-        self._measure = MEASURES[exploration.measure]
+        self._measure = INFORMATION_MEASURES[exploration.measure]
         self._step_duration = exploration.step_duration
         self._step = len(visited)
         self._state: Optional[np.ndarray] = visited[-1] if len(visited) else None

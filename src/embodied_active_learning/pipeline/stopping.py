@@ -51,7 +51,7 @@ class EarlyStop:
             stored: All stored observations.
         """
         model = TrainedModel(self._config, dict(learner.network.state_dict()))
-        check = self._criterion.add(measure(self._config, model, evaluation, learner.schedule.coverage, stored))
+        check = self._criterion.add(measure(self._config, model, evaluation, learner.loss_weights.coverage, stored))
         if check.stopped:
             training = self._config.training
             # A planner in lock-step receives this model, and with it the decision, after that many observations.

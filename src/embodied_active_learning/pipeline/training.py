@@ -14,9 +14,15 @@ import torch
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.distributed.pool import WorkerPool
-from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError, SessionError
-from embodied_active_learning.model.checkpoint import LearnerState, network_weights
-from embodied_active_learning.model.learner import DivergenceError, Learner, UpdateReport
+from embodied_active_learning.errors import (
+    ConfigError,
+    CorruptFileError,
+    DivergenceError,
+    ObservationError,
+    SessionError,
+)
+from embodied_active_learning.model.learner import Learner, UpdateReport
+from embodied_active_learning.model.learner_state import LearnerState, network_weights
 from embodied_active_learning.model.loss import LossFunction
 from embodied_active_learning.objects.stability import StopCheck
 from embodied_active_learning.pipeline.stopping import EarlyStop
@@ -91,7 +97,7 @@ class TrainingRun:
 
     @property
     def skipped(self) -> int:
-        """Number of batches skipped because their loss or gradient was not finite."""
+        """Number of batches skipped because their loss or gradient was not finite, or their loss too large."""
         return self._learner.skipped
 
     @property
@@ -156,7 +162,10 @@ class TrainingRun:
                 self._advance(on_update, on_finish)
             except DivergenceError as error:
                 self._rollback(error)
-        self._checkpoint()
+        try:
+            self._checkpoint()
+        except DivergenceError as error:  # found only now; the last good checkpoint is kept
+            self._rollback(error)
 
     def stop(self) -> None:
         """Request train() to write a checkpoint and return; any thread may call this."""

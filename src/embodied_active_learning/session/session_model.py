@@ -12,7 +12,7 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.files import FileReader
-from embodied_active_learning.model.checkpoint import network_weights
+from embodied_active_learning.model.learner_state import network_weights
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.schema import build, required
 from embodied_active_learning.session.checkpoints import load_latest, load_model

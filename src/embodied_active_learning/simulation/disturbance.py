@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from embodied_active_learning.simulation.world import Disturbances
+from embodied_active_learning.simulation.world_settings import Disturbances
 
 _DRIFT_TIME = 30.0  # s, correlation time of the brightness
 _WAVES = 64  # that make up the drift

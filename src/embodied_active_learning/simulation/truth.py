@@ -8,7 +8,7 @@ from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import FingerprintSet
-from embodied_active_learning.objects.report import Truth, true_kinds
+from embodied_active_learning.objects.scoring import Truth, true_kinds
 from embodied_active_learning.simulation.world import load_world
 
 

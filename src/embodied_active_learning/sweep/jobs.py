@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Optional
 
 from embodied_active_learning.config import Config, merge
-from embodied_active_learning.errors import SessionError
-from embodied_active_learning.model.learner import DivergenceError
+from embodied_active_learning.errors import DivergenceError, SessionError
 from embodied_active_learning.pipeline.learning import learn
 from embodied_active_learning.pipeline.progress import Progress
 from embodied_active_learning.pipeline.resolve import resolve_config

@@ -21,7 +21,7 @@ from embodied_active_learning.config_versions import CONFIG_VERSION
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.model.native.library import load_kernels, processor_name
-from embodied_active_learning.objects.report import nearest
+from embodied_active_learning.objects.scoring import nearest
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.schema import build, to_plain
 from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed

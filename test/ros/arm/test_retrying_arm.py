@@ -18,7 +18,7 @@ from embodied_active_learning.errors import (
     ObservationError,
 )
 from embodied_active_learning.exploration.commands import VelocityCommand
-from embodied_active_learning.ros.arm import lease, retry, retrying_arm
+from embodied_active_learning.ros.arm import lease, retry_policy, retrying_arm
 from embodied_active_learning.ros.arm.client import ArmClient
 from embodied_active_learning.ros.conversions import image_message, state_message
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
@@ -152,7 +152,7 @@ def arm(monkeypatch):
 def camera(monkeypatch):
     camera = Camera()
     monkeypatch.setattr(retrying_arm, "PosedCamera", lambda config: camera)
-    monkeypatch.setattr(retry, "RETRY_PERIOD", 0.01)
+    monkeypatch.setattr(retry_policy, "RETRY_PERIOD", 0.01)
     return camera
 
 
@@ -264,7 +264,7 @@ def test_success_resets_failure_count(arm, retrying):
 def test_retry_pause_doubles_up_to_maximum(arm, retrying, monkeypatch):
     waits = []
     monkeypatch.setattr(retrying_arm, "wall_sleep", waits.append)
-    monkeypatch.setattr(retry, "MAX_RETRY_PERIOD", 0.05)
+    monkeypatch.setattr(retry_policy, "MAX_RETRY_PERIOD", 0.05)
     arm.failures = [ArmFailedError("in reflex mode") for _ in range(5)]
     retrying.execute(FORWARD)
     assert waits == [0.01, 0.02, 0.04, 0.05, 0.05]

@@ -1,4 +1,4 @@
-"""Arm and camera for a node that moves and observes in turns: failed commands are retried, and a pause is possible."""
+"""Arm and camera for a node that moves and observes in turns; failures are outlasted, and a pause is possible."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros.arm.client import ArmClient
 from embodied_active_learning.ros.arm.lease import Lease
 from embodied_active_learning.ros.arm.restore_point import RestorePoint
-from embodied_active_learning.ros.arm.retry import RetryPolicy
+from embodied_active_learning.ros.arm.retry_policy import RetryPolicy
 from embodied_active_learning.ros.camera.posed_camera import PosedCamera
 from embodied_active_learning.ros.conversions import state_arrays
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
@@ -47,9 +47,10 @@ _AnyCommand = Union[Command, _Restore]
 
 
 class RetryingArm:
-    """Executes commands and takes images; retries what fails and holds the arm still meanwhile.
+    """Executes commands and takes images; holds the arm still while something fails.
 
-    Commands that the arm rejects or fails to carry out are retried up to arm/retries times in a row (see RetryPolicy).
+    `go_to` repeats its command until the arm arrives. `execute` does not: after a failure it holds the arm still, and
+    the caller plans anew from where the arm is. Up to arm/retries failures in a row are tolerated (see RetryPolicy).
     Stale images, a stopped arm, another commander and a missing response are waited for. A stopped arm is never
     recovered from here. A simulated arm that has restarted returns to its last state before the next command.
 

@@ -20,7 +20,7 @@ from embodied_active_learning.ros.conversions import image_array, image_message,
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.workspace import STATE_NAMES
 
-MEASURES = ("ergodic_measure", "coverage", "distance", "turning", "effort")
+STEP_COLUMNS = ("ergodic_measure", "coverage", "distance", "turning", "effort")
 """Columns of exploration.csv stored as target distributions; a session does not keep their samples."""
 
 
@@ -58,7 +58,7 @@ def write_session(session_path: Path, bag_path: Path, compression: str = "none")
             bag.write(f"/{names.CAMERA_IMAGE}", image, stamp)
             bag.write(f"/{names.OBSERVATION}", Observation(Header(stamp=stamp), index, state, image), stamp)
             if index + 1 in steps:
-                measures = {name: float(rows[name][steps[index + 1]]) for name in MEASURES}
+                measures = {name: float(rows[name][steps[index + 1]]) for name in STEP_COLUMNS}
                 message = TargetDistribution(header=state.header, step=index + 1, **measures)
                 bag.write(f"/{names.TARGET_DISTRIBUTION}", message, stamp)
         return len(store)
@@ -103,5 +103,5 @@ def _fill(session: Session, recording: Recording) -> None:
     with session.open_table("exploration") as table:
         for message in recording.measures():
             if message.step <= len(rows):
-                measures = {name: getattr(message, name) for name in MEASURES}
+                measures = {name: getattr(message, name) for name in STEP_COLUMNS}
                 table.append({"step": message.step, **rows[message.step - 1], **measures})

@@ -8,7 +8,7 @@ import rospy
 
 from embodied_active_learning.figures.identification_figures import draw_identification
 from embodied_active_learning.objects.decision import Decision
-from embodied_active_learning.objects.report import decision_table, unknown_text
+from embodied_active_learning.objects.decision_table import decision_table, unknown_text
 from embodied_active_learning.pipeline.identification import IdentificationRun
 from embodied_active_learning.ros.objects.messages import decision_message
 from embodied_active_learning.ros.runtime.node import try_to_draw

@@ -1,4 +1,4 @@
-"""Schedule of beta and gamma. Paper, Alg. 1, line 13."""
+"""LossWeights of beta and gamma. Paper, Alg. 1, line 13."""
 
 import math
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import ObjectiveConfig
-from embodied_active_learning.model.schedule import Schedule, beta_from_log_std, gamma_from_coverage
+from embodied_active_learning.model.loss_weights import LossWeights, beta_from_log_std, gamma_from_coverage
 
 
 def test_beta_matches_hand_computed_value():
@@ -36,36 +36,36 @@ def test_gamma_is_weight_times_coverage():
     assert gamma_from_coverage(0.6, 0.1) == pytest.approx(0.06)
 
 
-def test_schedule_starts_with_smallest_beta_and_zero_gamma():
-    schedule = Schedule(ObjectiveConfig())
-    assert schedule.beta == pytest.approx(1e-4)
-    assert schedule.gamma == 0.0
+def test_weights_start_with_smallest_beta_and_zero_gamma():
+    weights = LossWeights(ObjectiveConfig())
+    assert weights.beta == pytest.approx(1e-4)
+    assert weights.gamma == 0.0
 
 
-def test_schedule_averages_its_window():
-    schedule = Schedule(ObjectiveConfig(schedule_window=2))
+def test_weights_are_means_over_window():
+    weights = LossWeights(ObjectiveConfig(schedule_window=2))
     for coverage in (0.2, 0.4, 0.8):
-        schedule.evaluate(np.array([0.0, math.log(10.0)]), coverage)
-    assert schedule.gamma == pytest.approx(0.1 * 0.6)
-    assert schedule.beta == pytest.approx((10.0**-3.6 + 10.0**-3.2) / 2)
-    assert (schedule.coverage, schedule.log_std_min, schedule.log_std_max) == (0.8, 0.0, math.log(10.0))
+        weights.evaluate(np.array([0.0, math.log(10.0)]), coverage)
+    assert weights.gamma == pytest.approx(0.1 * 0.6)
+    assert weights.beta == pytest.approx((10.0**-3.6 + 10.0**-3.2) / 2)
+    assert (weights.coverage, weights.log_std_min, weights.log_std_max) == (0.8, 0.0, math.log(10.0))
 
 
 @pytest.mark.parametrize(("log_std", "coverage"), [([0.0, math.nan], 0.5), ([0.0, math.inf], 0.5), ([0.0], math.nan)])
 def test_non_finite_evaluation_changes_nothing(log_std, coverage):
-    schedule = Schedule(ObjectiveConfig())
-    schedule.evaluate(np.array([0.0, 1.0]), 0.5)
-    before = schedule.state_dict()
-    schedule.evaluate(np.array(log_std), coverage)
-    assert schedule.state_dict() == before
+    weights = LossWeights(ObjectiveConfig())
+    weights.evaluate(np.array([0.0, 1.0]), 0.5)
+    before = weights.state_dict()
+    weights.evaluate(np.array(log_std), coverage)
+    assert weights.state_dict() == before
 
 
-def test_restored_schedule_continues_its_window():
-    first, second = Schedule(ObjectiveConfig(schedule_window=3)), Schedule(ObjectiveConfig(schedule_window=3))
+def test_restored_weights_continue_its_window():
+    first, second = LossWeights(ObjectiveConfig(schedule_window=3)), LossWeights(ObjectiveConfig(schedule_window=3))
     for coverage in (0.1, 0.2, 0.3, 0.4):
         first.evaluate(np.array([-1.0, 0.5]), coverage)
     second.load_state_dict(first.state_dict())
-    for schedule in (first, second):
-        schedule.evaluate(np.array([-2.0, 0.5]), 0.9)
+    for weights in (first, second):
+        weights.evaluate(np.array([-2.0, 0.5]), 0.9)
     assert (first.beta, first.gamma) == (second.beta, second.gamma)
     assert first.state_dict() == second.state_dict()

@@ -1,4 +1,4 @@
-"""Schedule of the loss weights beta and gamma. Paper, Alg. 1, line 13."""
+"""The weights beta and gamma of the loss, as functions of entropy and coverage. Paper, Alg. 1, line 13."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def gamma_from_coverage(coverage: float, weight: float) -> float:
     return weight * coverage
 
 
-class Schedule:
+class LossWeights:
     """beta and gamma, averaged over the last evaluations so that a single outlier does not disturb training."""
 
     def __init__(self, config: ObjectiveConfig) -> None:
