@@ -25,7 +25,7 @@ from threads import wait_for
 TIMEOUT = 60.0
 PAUSED = "paused, waiting for a call of /planner/resume"
 PERIOD = 0.02
-SHAPE = (180, 180, 3)
+SHAPE = (60, 60, 3)
 START = np.array([0.475, 0.0, 0.0])
 SPEEDS = np.array([0.15, 0.15, 1.5])
 
