@@ -67,17 +67,16 @@ class StateHistory:
         if last is not None and elapsed == 0.0:
             return
         self._pose, self._stamp = pose, stamp
-        velocity, self._velocity = self._velocity, (0.0, 0.0, 0.0)
-        base, self._base = self._base, (stamp, pose.planar)
-        continuous_since, self._continuous_since = self._continuous_since, stamp
-        if last is None:
-            return
-        self._require_continuous(last, pose, elapsed)
-        if 0.0 < stamp - base[0] <= self._max_period:
-            self._velocity, self._base, self._continuous_since = velocity, base, continuous_since
+        problem = "" if last is None else self._discontinuity(last, pose, elapsed)
+        if last is not None and not problem and 0.0 < stamp - self._base[0] <= self._max_period:
             self._difference(stamp, pose)
+        else:
+            self._velocity, self._base, self._continuous_since = (0.0, 0.0, 0.0), (stamp, pose.planar), stamp
+        if problem:
+            raise ObservationError(problem)
 
     def _difference(self, stamp: float, pose: CameraPose) -> None:
+        """Update the velocity with a pose, unless it is too close in time."""
         since, base = self._base
         period = stamp - since
         if period < _MIN_PERIOD:
@@ -90,20 +89,19 @@ class StateHistory:
         self._velocity = x, y, omega
         self._base = stamp, pose.planar
 
-    def _require_continuous(self, last: CameraPose, pose: CameraPose, elapsed: float) -> None:
-        """Raise ObservationError if stamps went back, or pose changes exceed what the speed limits allow."""
+    def _discontinuity(self, last: CameraPose, pose: CameraPose, elapsed: float) -> str:
+        """Return whether stamps went back, or the pose changed by more than the speed limits allow; "" if not."""
         if elapsed < 0.0:
-            raise ObservationError(
-                f"stamps of the robot's states went back by {-elapsed:.3f} s: check the clock of its computer"
-            )
+            return f"stamps of the robot's states went back by {-elapsed:.3f} s: check the clock of its computer"
         change = [now - before for now, before in zip((*pose.planar[:2], pose.height), (*last.planar[:2], last.height))]
         distance = math.hypot(math.hypot(change[0], change[1]), change[2])
         turns = (pose.planar[2] - last.planar[2], pose.tilt[0] - last.tilt[0], pose.tilt[1] - last.tilt[1])
         turn = max(map(abs, turns))
         max_distance = _JUMP_SLACK + _JUMP_FACTOR * elapsed * math.sqrt(2.0) * self._max_speed
         max_turn = _JUMP_TURN_SLACK + _JUMP_FACTOR * elapsed * self._max_turn_rate
-        if distance > max_distance or turn > max_turn:
-            raise ObservationError(
-                f"the robot's pose jumped by {distance:.3f} m and {turn:.2f} rad in {elapsed:.3f} s, more than "
-                "arm/max_speed and arm/max_turn_rate allow: the arm was pushed, or its end effector frame was changed"
-            )
+        if distance <= max_distance and turn <= max_turn:
+            return ""
+        return (
+            f"the robot's pose jumped by {distance:.3f} m and {turn:.2f} rad in {elapsed:.3f} s, more than "
+            "arm/max_speed and arm/max_turn_rate allow: the arm was pushed, or its end effector frame was changed"
+        )

@@ -46,6 +46,7 @@ class NativeLoss:
         join: Callable[[], None] = lambda: None,
     ) -> LossTerms:
         """See LossFunction."""
+        # Forward: images and states of the first half -> latents -> both halves decoded.
         convolutions, size, width = self.convolutions, len(noise), network.feature_size
         encoder, decoder = (_Perceptron(part, convolutions) for part in (network.encoder, network.decoder))
         rows = torch.empty((size, width + network.state_size))
@@ -56,14 +57,17 @@ class NativeLoss:
         latent = _Latent(encoder.forward(columns), noise.t())
         samples = torch.cat((latent.sample, latent.sample), dim=1)
         decoded = decoder.forward(torch.cat((samples, pair.states.t())))
+        # Loss at the decoder's outputs (row 0: log std, the others: image features), and its gradient there.
         gradient, log_std = torch.empty_like(decoded), clamped(decoded[0])
         weights = _error_weights(log_std, gamma)
         transposes = decoder.transpose_inputs, lambda: encoder.transpose_inputs(rows)
         found = convolutions.reconstruct(network, decoded[1:], pair.images, weights, gradient[1:], transposes)
         gradient[0] = _log_std_gradient(found.errors, log_std, gamma) * clamp_mask(decoded[0])
+        # Backward: decoder -> latents, where both halves' gradients add up -> encoder.
         at_inputs = decoder.backward(gradient)
         at_samples = at_inputs[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
         at_inputs = encoder.backward(latent.backward(at_samples, beta))
+        # Gradients of weights and biases, in the order of network.parameters().
         last = _Deferred(found.gradients), _Deferred(encoder.bias_gradients), _Deferred(decoder.bias_gradients)
         factors = [*encoder.weight_gradient_factors, *decoder.weight_gradient_factors]
         back = convolutions.encoder_backward(saved, at_inputs[:, :width], factors, last)

@@ -96,10 +96,10 @@ class DriverArm(ArmServer):
 
         Args:
             stamp: Of the state.
-            end_effector: See FrankaDriver.update_state, as for the others.
-            mode: See there.
-            errors: See there.
-            last_errors: See there.
+            end_effector: O_T_EE, (16,) column by column.
+            mode: franka_msgs/FrankaState.robot_mode.
+            errors: Names of the present errors.
+            last_errors: Names of the errors that ended the last motion.
         """
         delay = (rospy.Time.now() - stamp).to_sec()
         reached = self._driver.update_state(stamp.to_sec(), delay, end_effector, mode, errors, last_errors)

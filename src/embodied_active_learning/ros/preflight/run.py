@@ -37,7 +37,7 @@ _COMMON_PACKAGES = dict.fromkeys(("torch", "cv2", "sklearn", "pybullet", "tf2_ro
 _READ_MESSAGE = "read the message"
 
 
-class Report:
+class PreflightReport:
     """Writes each result as a line, and collects them."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
@@ -68,7 +68,7 @@ def run(arguments: List[str], robot_profile: str, seconds: float, write: Callabl
         seconds: how long topics are observed.
         write: called with each line.
     """
-    report = Report(write)
+    report = PreflightReport(write)
     uri = rosgraph.get_master_uri()
     problem = connection_error(uri)
     if problem:
@@ -146,7 +146,7 @@ def check_match(config: Config, values: Any) -> CheckResult:
     return ok("config check", "the configurations of system and arm match")
 
 
-def check_computer(report: Report, config: Config) -> None:
+def check_computer(report: PreflightReport, config: Config) -> None:
     """Run the checks that need no master."""
     required = {**_COMMON_PACKAGES, **arm_of(config.arm.robot).packages}
     missing = [name for name in required if importlib.util.find_spec(name) is None]
@@ -159,7 +159,7 @@ def check_computer(report: Report, config: Config) -> None:
     report.run("device", lambda: computer.check_device(device, *find_gpu(device), cores))
 
 
-def check_system(report: Report, config: Config, seconds: float) -> None:
+def check_system(report: PreflightReport, config: Config, seconds: float) -> None:
     """Run the checks of a running system."""
     system: Optional[System] = None
     try:
