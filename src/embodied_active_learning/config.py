@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Dict, Optional, Tuple
 
-from embodied_active_learning.config_versions import CONFIG_VERSION, upgrade
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.hardware_config import (
@@ -42,6 +41,9 @@ __all__ = [
     "FrankaConfig",
     "WorkspaceConfig",
 ]
+CONFIG_VERSION = 6
+"""Version of the configuration in sessions, records and bags. Raise it if a key is renamed or removed; a new key needs
+no other version, because it gets its default."""
 # Choices of settings: fingerprint/clustering, and identification/features, decision, evidence and candidates_from.
 TABLE, CAMERA = CLUSTERINGS = ("table", "camera")
 LATENTS, PIXELS = FEATURES = ("latents", "pixels")
@@ -351,11 +353,6 @@ class Config:
         """Build a configuration from sections of keys. Raises ConfigError naming subject, key and legal values."""
         return build(cls, values, subject)
 
-    @classmethod
-    def from_stored(cls, values: Any, version: int) -> Config:
-        """Build a configuration that was stored by this version or an older one. Raises ConfigError."""
-        return cls.from_dict(upgrade(values, version))
-
     def to_dict(self) -> Dict[str, Any]:
         """Return sections of keys as plain data; tuples become lists."""
         return to_plain(self)
@@ -369,13 +366,10 @@ class Config:
 
 
 def load_profile(path: Path) -> Dict[str, Any]:
-    """Read the sections of keys that a YAML profile sets. Raises ConfigError naming the file and the key.
-
-    Profiles state no version: keys that the newest version renamed are read too.
-    """
+    """Read the sections of keys that a YAML profile sets. Raises ConfigError naming the file and the key."""
     values = _PROFILE_READER.read_yaml(Path(path))
     sections = {name: {} if keys is None else keys for name, keys in values.items()}
-    return check_keys(Config, upgrade(sections, CONFIG_VERSION - 1), path)
+    return check_keys(Config, sections, path)
 
 
 def find_profile(name_or_path: str, folder: Optional[Path]) -> Path:

@@ -127,6 +127,15 @@ class FileReader:
                     f"{subject}: {field} is {short_repr(found)}: expected {short_repr(value)}; {self.remedy}"
                 )
 
+    def expect_version(self, subject: Any, content: Mapping[str, Any], supported: Any) -> None:
+        """Check that a file is of the version that this package reads."""
+        found = content.get("version")
+        if repr(found) != repr(supported):
+            raise self.error(
+                f"{subject}: version is {short_repr(found)}, but this package reads version {supported!r} only: use "
+                f"the version of embodied_active_learning that wrote it; otherwise {self.remedy}"
+            )
+
     def _fields(self, subject: Any, content: Any) -> Dict[str, Any]:
         if not isinstance(content, dict):
             raise self.make_error(subject, f"is {_kind(content)}, expected fields")

@@ -10,7 +10,9 @@ import pytest
 import yaml
 
 import embodied_active_learning as eal
+from embodied_active_learning.config import CONFIG_VERSION
 from embodied_active_learning.errors import DivergenceError, MissingPackageError, SessionError
+from embodied_active_learning.session.checksummed_yaml import write_checksummed
 from embodied_active_learning.session.paths import LOCK_FILE
 from embodied_active_learning.sweep import jobs as sweep_jobs
 from embodied_active_learning.sweep import runner
@@ -89,6 +91,21 @@ def test_changed_settings_are_refused(copied):
     shutil.rmtree(copied / "records")
     with pytest.raises(SessionError, match=r"sessions/run-diagonal-seed0 .*learning_rate is 0.01 but was 0.001"):
         make_runs(jobs_of(copied, **changed), 1, str)
+
+
+def test_run_of_another_version_is_refused(copied):
+    version = CONFIG_VERSION - 1
+    for file, remedy in (
+        ("records/run-diagonal-seed0/record.yaml", "otherwise delete the folder, and make the run again"),
+        ("sessions/run-diagonal-seed0/config.yaml", "or delete .*/sessions/run-diagonal-seed0 to repeat the run"),
+    ):
+        content = {**yaml.safe_load((copied / file).read_text(encoding="utf-8")), "version": version}
+        del content["sha256"]
+        write_checksummed(copied / file, content)
+        message = f"{file}: version is {version}, but this package reads version {CONFIG_VERSION} only: .*{remedy}$"
+        with pytest.raises(SessionError, match=message):
+            make_runs(jobs_of(copied), 1, str)
+        shutil.rmtree(copied / "records", ignore_errors=True)
 
 
 def test_interrupted_run_is_resumed(tmp_path, monkeypatch):

@@ -9,12 +9,11 @@ from typing import Any, Dict
 
 import yaml
 
-from embodied_active_learning.files import FileReader, short_repr
+from embodied_active_learning.files import FileReader
 from embodied_active_learning.session.atomic import write_text
 
 # A single changed bit cannot turn this word into a comment that hides the line.
 CHECKSUM = "sha256"
-_FIRST_WITH_CHECKSUM = 2
 
 
 def write_checksummed(path: Path, content: Dict[str, Any]) -> None:
@@ -27,46 +26,31 @@ def checksummed_text(content: Dict[str, Any]) -> str:
     return yaml.safe_dump({**content, CHECKSUM: _digest(content)}, sort_keys=False)
 
 
-def read_checksummed(path: Path, reader: FileReader, file_format: str = "", newest: int = 1) -> Dict[str, Any]:
+def read_checksummed(path: Path, reader: FileReader, file_format: str = "", version: int = 1) -> Dict[str, Any]:
     """Read a file of write_checksummed.
 
     Args:
         path: The file.
         reader: Error class and remedy.
-        file_format: Expected `format` field; empty for files without format and version. Version 1 of a format has
-            no checksum.
-        newest: Newest `version` that this package can read.
+        file_format: Expected `format` field; empty for files without format and version.
+        version: Expected `version` field.
 
     Returns:
         The fields without the checksum.
 
     Raises:
-        reader.error: The file is malformed, damaged, or of a newer version.
+        reader.error: The file is malformed, damaged, or of another version.
     """
     content = reader.read_yaml(path)
     if file_format:
         reader.expect(path, content, {"format": file_format})
-        _check_version(path, content.get("version"), newest, reader)
+        reader.expect_version(path, content, version)
     fields = {name: value for name, value in content.items() if name != CHECKSUM}
-    if CHECKSUM in content:
-        if content[CHECKSUM] != _digest(fields):
-            raise reader.make_error(
-                f"{path}:", f"{CHECKSUM} does not match, so the file was changed after it was written"
-            )
-    elif not file_format or content["version"] >= _FIRST_WITH_CHECKSUM:
+    if CHECKSUM not in content:
         raise reader.make_error(f"{path}:", f"{CHECKSUM} is missing, so the end of the file was lost")
+    if content[CHECKSUM] != _digest(fields):
+        raise reader.make_error(f"{path}:", f"{CHECKSUM} does not match, so the file was changed after it was written")
     return fields
-
-
-def _check_version(path: Path, version: Any, newest: int, reader: FileReader) -> None:
-    if type(version) is not int or version < 1:
-        raise reader.make_error(f"{path}:", f"version is {short_repr(version)}, expected a number from 1")
-    if version > newest:
-        raise reader.make_error(
-            f"{path}:",
-            f"version is {version}, but this package reads versions up to {newest}; "
-            "install the newer version of embodied_active_learning that wrote the file",
-        )
 
 
 def _digest(content: Dict[str, Any]) -> str:

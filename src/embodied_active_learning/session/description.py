@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, List
 
 from embodied_active_learning import __version__
-from embodied_active_learning.config import Config
-from embodied_active_learning.config_versions import CONFIG_VERSION
+from embodied_active_learning.config import CONFIG_VERSION, Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.schema import build, settings, to_plain
@@ -38,15 +37,15 @@ def write_description(path: Path, config: Config) -> None:
 
 
 def read_description(path: Path) -> Config:
-    """Read the configuration of a run, written by this version or an older one.
+    """Read the configuration of a run.
 
     Raises:
-        CorruptFileError: The file is damaged or of a newer version; names the file and the field.
+        CorruptFileError: The file is damaged or of another version; names the file and the field.
     """
     content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
     found = build(_Description, content, path, CorruptFileError, _READER.remedy)
     try:
-        return Config.from_stored(found.config, found.version)
+        return Config.from_dict(found.config)
     except ConfigError as error:
         raise CorruptFileError(
             f"{path}: {error}; the session was written by embodied_active_learning {found.package_version}: open it "

@@ -9,14 +9,14 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, get_type_hints
+from typing import Any, Dict, List, Optional, Sequence, Tuple, get_type_hints
 
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import MAX_YAML_SIZE, FileReader
 from embodied_active_learning.naming import check_name
-from embodied_active_learning.objects.decision import FOUND, NOT_HERE, OUTCOMES, Decision
+from embodied_active_learning.objects.decision import OUTCOMES, Decision
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.schema import build, required
@@ -33,9 +33,6 @@ UNKNOWN_FILE = "unknown.csv"
 BELIEFS_FILE = "beliefs.safetensors"
 TRACE_FILE = "trace.safetensors"
 _POSE = ("x", "y", "theta")
-_RENAMED = {3: {"sureness": "confidence", "mismatch": "residual"}}  # version -> old name of a decision's field -> name
-_THREE_OUTCOMES = 4
-"""Version before which a decision was found or not."""
 _READER = FileReader(CorruptFileError, "identify again")
 
 
@@ -119,7 +116,7 @@ def load_identification(session_path: Path, name: str) -> StoredIdentification:
 
     Raises:
         SessionError: No identification has that name.
-        CorruptFileError: It is damaged or of a newer version.
+        CorruptFileError: It is damaged or of another version.
     """
     path = identification_folder(session_path, name) / DECISIONS_FILE
     if not os.path.lexists(path):
@@ -127,8 +124,7 @@ def load_identification(session_path: Path, name: str) -> StoredIdentification:
     stored = read_checksummed(path, _READER, FORMAT, VERSION)
     _READER.expect(path, stored, {"name": name})
     content = build(_DecisionsFile, stored, path, CorruptFileError, _READER.remedy)
-    rows = enumerate(_upgrade(row, content.version) for row in content.decisions)
-    decisions = tuple(_decision(f"{path}: decision {index}", row) for index, row in rows)
+    decisions = tuple(_decision(f"{path}: decision {index}", row) for index, row in enumerate(content.decisions))
     return StoredIdentification(name, content.session, content.images, decisions)
 
 
@@ -176,20 +172,6 @@ def _plain_unknown(item: UnknownObject) -> Dict[str, Any]:
     """Return an unknown object without its picture: place [m] and area [m^2]."""
     x, y = map(float, item.place)
     return {"x": round(x, 5), "y": round(y, 5), "area": round(item.area, 6)}
-
-
-def _upgrade(row: Any, version: int) -> Any:
-    """Return a decision with the names of the current version."""
-    names: Dict[str, str] = {}
-    for since, renamed in _RENAMED.items():
-        names.update(renamed if version < since else {})
-    if not isinstance(row, Mapping):
-        return row
-    upgraded = {names.get(name, name): value for name, value in row.items()}
-    if version < _THREE_OUTCOMES and "found" in upgraded:
-        upgraded["outcome"] = FOUND if upgraded.pop("found") else NOT_HERE
-        upgraded["error_rate"] = 0.0  # those rules stated none
-    return upgraded
 
 
 def _decision(subject: str, row: Any) -> Decision:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Optional
 
 from embodied_active_learning.config import Config, merge
-from embodied_active_learning.errors import DivergenceError, SessionError
+from embodied_active_learning.errors import CorruptFileError, DivergenceError, SessionError
 from embodied_active_learning.pipeline.learning import learn
 from embodied_active_learning.pipeline.progress import Progress
 from embodied_active_learning.pipeline.resolve import resolve_config
@@ -52,7 +52,7 @@ class Job:
         return SessionPaths(self.session).config.is_file()
 
     def check(self) -> None:
-        """Raise SessionError if the stored run was made with other settings."""
+        """Raise SessionError if the stored run was made with other settings, or cannot be read."""
         stored = self._stored()
         changes = differences(stored, self.run.config()) if stored else []
         if changes:
@@ -115,4 +115,7 @@ class Job:
         """Return the configuration of the stored run, if there is one."""
         if self.complete:
             return load_record(self.record).config
-        return Session.open_read_only(self.session).config if self.started else None
+        try:
+            return Session.open_read_only(self.session).config if self.started else None
+        except CorruptFileError as error:
+            raise SessionError(f"{error}; or delete {self.session} to repeat the run") from error

@@ -16,8 +16,7 @@ import numpy as np
 import torch
 
 from embodied_active_learning import __version__
-from embodied_active_learning.config import Config
-from embodied_active_learning.config_versions import CONFIG_VERSION
+from embodied_active_learning.config import CONFIG_VERSION, Config
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.model.native.library import load_kernels, processor_name
@@ -167,7 +166,7 @@ def load_record(folder: Path) -> Record:
     content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
     found = build(_RecordFile, content, path, CorruptFileError, _READER.remedy)
     try:
-        config = Config.from_stored(found.config, found.version)
+        config = Config.from_dict(found.config)
     except ConfigError as error:
         raise CorruptFileError(f"{path}: {error}; {_READER.remedy}") from error
     return Record(

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from std_msgs.msg import Header, String
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import CONFIG_VERSION, Config
 from embodied_active_learning.errors import (
     BagError,
     ConfigError,
@@ -186,15 +186,23 @@ def test_few_observations_can_be_stored_as_session(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["camera: {widht: 8}", "!!python/object/apply:os.getcwd []", "[", "a: 1\n" * 10**5],
-    ids=["mistyped", "code", "unfinished", "endless"],
+    ("text", "message"),
+    [
+        (f"{{version: {CONFIG_VERSION}, camera: {{widht: 8}}}}", "unknown key camera/widht"),
+        ("version: 5", f"version is 5, but this package reads version {CONFIG_VERSION} only"),
+        ("camera: {width: 8}", "version is None, but"),
+        ("[]", "version is None, but"),
+        ("!!python/object/apply:os.getcwd []", "tag"),
+        ("[", "line 1"),
+        ("a: 1\n" * 10**5, "characters"),
+    ],
+    ids=["mistyped", "older", "unversioned", "list", "code", "unfinished", "endless"],
 )
-def test_invalid_recorded_settings_are_rejected(tmp_path, text):
+def test_invalid_recorded_settings_are_rejected(tmp_path, text, message):
     with BagWriter(tmp_path / "a.bag") as bag:
         bag.write("/run_config", String(text), rospy.Time(1))
         bag.write("/observation", observation(0), rospy.Time(1))
-    with pytest.raises(ConfigError, match=r"a.bag: invalid recorded settings: "):
+    with pytest.raises(ConfigError, match=rf"a.bag: invalid recorded settings: .*{message}.*; replay"):
         Recording(tmp_path / "a.bag").settings()
 
 

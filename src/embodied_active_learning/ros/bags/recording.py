@@ -102,7 +102,8 @@ class Recording:
             return read_settings(text)
         except ValueError as error:
             raise ConfigError(
-                f"{self.path}: invalid recorded settings: {error}; replay the bag with the version that recorded it"
+                f"{self.path}: invalid recorded settings: {error}; replay the bag with the version that recorded it, "
+                f"or without its settings (rosbag filter IN.bag OUT.bag \"topic != '{topic}'\") and with profile:="
             ) from error
 
     def count(self, config: Config) -> int:

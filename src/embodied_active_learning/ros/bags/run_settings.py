@@ -6,8 +6,7 @@ from typing import Any, Dict
 
 import yaml
 
-from embodied_active_learning.config import Config
-from embodied_active_learning.config_versions import CONFIG_VERSION, FIRST_BAG_VERSION
+from embodied_active_learning.config import CONFIG_VERSION, Config
 from embodied_active_learning.files import MAX_YAML_SIZE, parse_yaml, short_repr
 
 
@@ -17,17 +16,17 @@ def settings_text(config: Config) -> str:
 
 
 def read_settings(text: str) -> Dict[str, Any]:
-    """Parse the output of settings_text, of this or an older version, into sections of keys.
+    """Parse the output of settings_text into sections of keys.
 
     Raises:
-        ValueError: The text is malformed, or stored by a newer version.
+        ValueError: The text is malformed, or of another version.
     """
     if len(text) > MAX_YAML_SIZE:
         raise ValueError(f"it has {len(text)} characters, {MAX_YAML_SIZE} are allowed")
     stored = parse_yaml(text)
-    version = stored.pop("version", FIRST_BAG_VERSION) if isinstance(stored, dict) else FIRST_BAG_VERSION
-    if type(version) is not int:
-        raise ValueError(f"version is {short_repr(version)}: expected a whole number")
-    values = Config.from_stored(stored, version).to_dict()
+    version = stored.pop("version", None) if isinstance(stored, dict) else None
+    if version != CONFIG_VERSION:
+        raise ValueError(f"version is {short_repr(version)}, but this package reads version {CONFIG_VERSION} only")
+    values = Config.from_dict(stored).to_dict()
     values.pop("session")
     return values
