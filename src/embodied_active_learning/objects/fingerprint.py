@@ -14,7 +14,7 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.naming import check_name, check_recorded_name
+from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.limits import Calibration
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class FingerprintSet:
 
     def __post_init__(self) -> None:
         """Check every field, and that the fingerprints match the configuration."""
-        check_recorded_name(self.session, "session of the fingerprints")
+        check_name(self.session, "session of the fingerprints")
         for field in ("updates", "observations"):
             count = getattr(self, field)
             if type(count) is not int or count < 0:

@@ -14,7 +14,6 @@ from typing import Any, Collection, Dict, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
-import yaml
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, SessionError
@@ -32,23 +31,23 @@ from embodied_active_learning.session.atomic import (
     replace_folder,
     sync_folder,
     write_bytes,
-    write_text,
 )
-from embodied_active_learning.session.checkpoints import load_model, save_model
+from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
 from embodied_active_learning.session.description import changed_keys, read_description
 from embodied_active_learning.session.fingerprinted import generations, newest_generation
 from embodied_active_learning.session.lock import claim
 from embodied_active_learning.session.paths import LOCK_FILE, SessionPaths, stays_inside
+from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/fingerprints"
-VERSION = 1
+VERSION = 2
 SET_FILE = "set.yaml"
 MODEL_FILE = "model.safetensors"
 FINGERPRINT_FILE = "fingerprint.safetensors"
 THUMBNAIL_FILE = "thumbnail.png"
 CALIBRATION_FILE = "calibration.safetensors"
 
-_KIND, _CALIBRATION_KIND = "fingerprint", "calibration"
+_KIND, _CALIBRATION_KIND, _MODEL_KIND = "fingerprint", "calibration", "fingerprint_model"
 _SIMILARITIES = ("true", "false")
 _READER = FileReader(CorruptFileError, "restore it, or call /fingerprint again")
 _MODEL_READER = replace(_READER, limit=ARRAY_READER.limit)
@@ -56,9 +55,11 @@ _FINGERPRINT_READER = replace(_READER, limit=2**30)
 
 
 @dataclass(frozen=True)
-class _SetFacts:
-    """Facts of a set, stored in set.yaml and with the model."""
+class _SetFile:
+    """The fields of set.yaml."""
 
+    format: str = required("kind of the file")
+    version: int = required("version of the format")
     session: str = required("session that was learned")
     updates: int = required("updates of the model")
     observations: int = required("observations of the session")
@@ -152,18 +153,12 @@ def _write_set(folder: Path, found: FingerprintSet) -> None:
     for fingerprint in found.fingerprints:
         (folder / fingerprint.name).mkdir()
         _write_fingerprint(folder / fingerprint.name, fingerprint)
-    facts = {
-        "session": found.session,
-        "updates": found.updates,
-        "observations": found.observations,
-        "created": found.created,
-        "names": [fingerprint.name for fingerprint in found.fingerprints],
-    }
-    # The model file has a checksum, so that a changed set.yaml is detected.
-    save_model(folder / MODEL_FILE, found.weights, facts)
+    write_tensors(folder / MODEL_FILE, _MODEL_KIND, found.weights, {})
     _refuse_large(folder / MODEL_FILE, _MODEL_READER, "choose smaller model/hidden_sizes")
+    names = tuple(fingerprint.name for fingerprint in found.fingerprints)
+    content = _SetFile(FORMAT, VERSION, found.session, found.updates, found.observations, found.created, names)
     # Last, because it flushes the names of all the others to the disk.
-    write_text(folder / SET_FILE, yaml.safe_dump({"format": FORMAT, "version": VERSION, **facts}, sort_keys=False))
+    write_checksummed(folder / SET_FILE, to_plain(content))
     _refuse_large(folder / SET_FILE, _READER, "keep fewer fingerprints")
 
 
@@ -181,30 +176,27 @@ def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
 
 def _read_set(session_path: Path, generation: Path, config: Config) -> FingerprintSet:
     path, model = generation / SET_FILE, generation / MODEL_FILE
-    facts = _read_set_file(session_path, path)
+    stored = _read_set_file(session_path, path)
     _check_inside(session_path, model)
-    weights, written = load_model(model, _MODEL_READER)
-    _READER.expect(path, to_plain(facts), to_plain(build(_SetFacts, written, model, CorruptFileError, _READER.remedy)))
-    fingerprints = tuple(_read_fingerprint(session_path, generation / name / FINGERPRINT_FILE) for name in facts.names)
+    weights, _ = read_tensors(model, _MODEL_KIND, _MODEL_READER)
+    fingerprints = tuple(_read_fingerprint(session_path, generation / name / FINGERPRINT_FILE) for name in stored.names)
     with _damage_in(path):
         return FingerprintSet(
-            session=facts.session,
-            updates=facts.updates,
-            observations=facts.observations,
-            created=facts.created,
+            session=stored.session,
+            updates=stored.updates,
+            observations=stored.observations,
+            created=stored.created,
             config=config,
             weights=weights,
             fingerprints=fingerprints,
         )
 
 
-def _read_set_file(session_path: Path, path: Path) -> _SetFacts:
-    """Return the facts of a set, with names that are safe in paths."""
+def _read_set_file(session_path: Path, path: Path) -> _SetFile:
+    """Return the content of a set.yaml, with names that are safe in paths."""
     _check_inside(session_path, path)
-    content = _READER.read_yaml(path)
-    _READER.expect(path, content, {"format": FORMAT, "version": VERSION})
-    facts = {name: value for name, value in content.items() if name not in ("format", "version")}
-    found = build(_SetFacts, facts, path, CorruptFileError, _READER.remedy)
+    content = read_checksummed(path, _READER, FORMAT, VERSION)
+    found = build(_SetFile, content, path, CorruptFileError, _READER.remedy)
     with _damage_in(path):
         for name in found.names:
             check_name(name, "one of names")
