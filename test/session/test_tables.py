@@ -104,7 +104,7 @@ def test_table_of_other_columns_is_rejected_untouched(tmp_path):
     assert path.read_text() == "a,b\n1,2\n"
 
 
-@pytest.mark.parametrize("header", ["value,step", "value", "step,other", "step,value,more", "", "step,", "st"])
+@pytest.mark.parametrize("header", ["value,step", "step", "step,other", "step,value,more", "", "step,", "st"])
 def test_reordered_or_foreign_header_is_rejected(tmp_path, header):
     path = tmp_path / "t.csv"
     path.write_text(f"{header}\n1,2\n")
@@ -112,32 +112,6 @@ def test_reordered_or_foreign_header_is_rejected(tmp_path, header):
         with pytest.raises(CorruptFileError, match=r"t\.csv: the header is"):
             attempt(path, NAMES)
     assert path.read_text() == f"{header}\n1,2\n"
-
-
-def test_column_that_an_older_table_lacks_is_nan(tmp_path):
-    path = tmp_path / "t.csv"
-    write(path, [(0, 0.25), (1, 0.5)])
-    content = path.read_text()
-    found = read_table(path, (*NAMES, "added"))
-    assert found["value"].tolist() == [0.25, 0.5]
-    assert np.isnan(found["added"]).all()
-    assert path.read_text() == content
-
-
-def test_older_table_is_continued_with_added_column(tmp_path):
-    path = tmp_path / "t.csv"
-    write(path, [(0, 0.25), (1, 0.5)])
-    with Table(path, (*NAMES, "added")) as table:
-        table.append({"step": 2, "value": 1.0, "added": 7})
-    assert path.read_text() == "step,value,added\n0,0.25,\n1,0.5,\n2,1.0,7\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["t.csv"]
-
-
-def test_damaged_line_of_an_older_table_is_named(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text("step\n0\n1,2\n")
-    with pytest.raises(CorruptFileError, match=r"line 3 is .* expected 1 numbers"):
-        read_table(path, NAMES)
 
 
 def test_resume_truncates_table(tmp_path):

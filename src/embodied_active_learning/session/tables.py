@@ -22,7 +22,6 @@ from embodied_active_learning.session.atomic import write_bytes
 _NUMBER = re.compile(r"-?([0-9]+(\.[0-9]+)?(e[+-]?[0-9]+)?|inf|nan)")  # as Python writes them
 _READER = FileReader(CorruptFileError, "choose another session", limit=2**28)
 
-# Columns are only added at the end, never renamed or moved: tables of older versions lack the newest ones.
 # fmt: off
 COLUMNS: Dict[str, Tuple[str, ...]] = {
     "exploration": (
@@ -70,7 +69,10 @@ class Table:
     def truncate_after(self, column: str, value: float) -> None:
         """Delete the rows with a larger value in a column: they were written after the state that is resumed."""
         rows = _rows(self.path, _READER.read_bytes(self.path), self.columns)
-        self._rewrite([row for row in rows if _number(row[self.columns.index(column)]) <= value])
+        kept = [row for row in rows if _number(row[self.columns.index(column)]) <= value]
+        write_bytes(self.path, "".join(",".join(row) + "\n" for row in [self.columns, *kept]).encode("utf-8"))
+        self.close()
+        self._open()
 
     def close(self) -> None:
         """Close the file and release its lock."""
@@ -92,21 +94,13 @@ class Table:
             lock.claim(self._stream, self.path)
             content = _READER.read_bytes(self.path)
             whole = content.rfind(b"\n") + 1
-            rows = _rows(self.path, content, self.columns)
+            _rows(self.path, content, self.columns)  # raises for a damaged table
             self._cut(whole)
             if not whole:
                 self._write(",".join(self.columns))
-            elif len(_header(self.path, content, self.columns)) < len(self.columns):
-                self._rewrite(rows)
         except BaseException:
             self.close()
             raise
-
-    def _rewrite(self, rows: Sequence[Sequence[str]]) -> None:
-        """Replace the file by one with these rows, and continue after them."""
-        write_bytes(self.path, "".join(",".join(row) + "\n" for row in [self.columns, *rows]).encode("utf-8"))
-        self.close()
-        self._open()
 
     def _write(self, line: str) -> None:
         content, end = (line + "\n").encode("utf-8"), self._stream.tell()
@@ -129,8 +123,6 @@ class Table:
 def read_table(path: Path, columns: Sequence[str]) -> Dict[str, np.ndarray]:
     """Return each column as (N,) float64. An incomplete last line is ignored; a missing file is an empty table.
 
-    The last columns may be missing in a table of an older version, and are NaN.
-
     Raises:
         CorruptFileError: Names the file and the line.
     """
@@ -142,34 +134,28 @@ def read_table(path: Path, columns: Sequence[str]) -> Dict[str, np.ndarray]:
     return {name: values[:, index] for index, name in enumerate(columns)}
 
 
-def _header(path: Path, content: bytes, columns: Sequence[str]) -> Sequence[str]:
-    """Return the file's columns, the first of `columns`. Raises CorruptFileError for another file.
-
-    An incomplete header counts as complete.
-    """
+def _check_header(path: Path, content: bytes, columns: Sequence[str]) -> None:
+    """Check the columns of a file; an incomplete header counts as complete. Raises CorruptFileError for others."""
     whole = ",".join(columns)
     line, newline, _ = content.partition(b"\n")
     found = line[: len(whole) + 1].decode("utf-8", "replace")
-    names = found.split(",")
-    if not newline and whole.startswith(found):
-        return columns
-    if newline and names == list(columns[: len(names)]):
-        return columns[: len(names)]
-    raise _READER.make_error(f"{path}:", f"the header is {short_repr(names)}, expected {list(columns)}")
+    if found != whole and (newline or not whole.startswith(found)):
+        raise _READER.make_error(f"{path}:", f"the header is {short_repr(found.split(','))}, expected {list(columns)}")
 
 
 def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]:
-    """Return the texts of every complete row after the header; empty in the columns that the file lacks."""
-    known = len(_header(path, content, columns))
+    """Return the texts of every complete row after the header."""
+    _check_header(path, content, columns)
+    count = len(columns)
     text = content.decode("utf-8", "replace")
     try:
         lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
     except csv.Error as error:
         raise _READER.make_error(path, f"is not a CSV table ({error})") from error
     for number, line in enumerate(lines[1:], start=2):
-        if len(line) != known or not all(_is_number(value) for value in line):
-            raise CorruptFileError(f"{path}: line {number} is {short_repr(line)}, expected {known} numbers: delete it")
-    return [line + [""] * (len(columns) - known) for line in lines[1:]]
+        if len(line) != count or not all(_is_number(value) for value in line):
+            raise CorruptFileError(f"{path}: line {number} is {short_repr(line)}, expected {count} numbers: delete it")
+    return lines[1:]
 
 
 def _text(value: Any) -> str:
