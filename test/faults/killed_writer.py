@@ -55,7 +55,8 @@ class Writer:
         self._table.append({"update": number, "loss": number / 7})
 
     def _write_checkpoint(self, number: int) -> None:
-        save_checkpoint(self._session.paths.checkpoints, number + 1, self._numbered(number), {"number": number})
+        folder = self._session.paths.checkpoints
+        save_checkpoint(folder, number + 1, number, self._numbered(number), {"number": number})
 
     def _write_model(self, number: int) -> None:
         facts = {"updates": number, "observations": number}

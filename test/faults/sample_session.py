@@ -104,7 +104,7 @@ def make_sample(root: Path) -> Path:
                 for number in range(1, 4):
                     table.append({column: number, "coverage": number / 7} if name != "evaluation" else {column: number})
         tensors = {f"{NETWORK}{name}": tensor for name, tensor in weights.items()}
-        save_checkpoint(session.paths.checkpoints, 3, tensors, {"updates": 3})
+        save_checkpoint(session.paths.checkpoints, 3, OBSERVATIONS, tensors, {"updates": 3})
         save_model(session.paths.model, weights, {"updates": 3, "observations": OBSERVATIONS})
         save_fingerprints(session.paths.path, fingerprints(config))
         sought = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)

@@ -341,11 +341,9 @@ def test_tensor_file_with_false_header_is_rejected(kind, sample):
         with_header(b"[" * 100000),
         with_header(b"\xff" * 100),
         with_header({"__metadata__": {"header": json.dumps({**header, "facts": "[" * 100000})}}),
-        with_header({"__metadata__": {"header": json.dumps({**header, "version": "2"})}}),
+        with_header({"__metadata__": {"header": json.dumps({**header, "version": "3"})}}),
         with_header({"__metadata__": {"header": json.dumps({**header, "facts": 1})}}),
         with_header({"__metadata__": {"header": "[" * 100000}}),
-        with_header({"__metadata__": {**header, "facts": "[" * 100000}}),
-        with_header({"__metadata__": {**header, "version": "2"}}),
         with_header({}),
     ]
     with replaced(path):
@@ -383,6 +381,7 @@ def resealed(path, arrays, facts):
         ("model", {}, {"updates": "9"}, "updates is '9': expected a whole number"),
         ("checkpoint", {}, {"updates": None}, "updates is missing"),
         ("checkpoint", {}, {"updates": 4}, "updates is 4: expected 3"),
+        ("checkpoint", {}, {"observations": -1}, "observations is -1"),
         ("checkpoint", {}, {"counters": [1]}, r"counters is \[1\]"),
         ("checkpoint", {"network/decoder.0.bias": np.full(4, np.inf, np.float32)}, {}, "values that are not finite"),
         ("planner", {"state": np.zeros(4)}, {}, "state is missing, not finite"),
@@ -408,7 +407,7 @@ def test_wrong_tensors_with_valid_checksum_are_rejected(sample, name, arrays, fa
         ("image_shape", [12, 12, 3.0], "image_shape is"),
         ("state_names", ["y", "x", "theta"], "state_names is"),
         ("record_bytes", 10**9, "record_bytes is"),
-        ("version", True, "version is True: expected 1"),
+        ("version", True, "version is True, but this package reads version 1 only"),
     ],
 )
 def test_absurd_layout_is_rejected(sample, field, value, complaint):

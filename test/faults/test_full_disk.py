@@ -65,7 +65,7 @@ def leftovers(path):
 
 def write_checkpoint(session):
     tensors = {f"network/{name}": tensor for name, tensor in network(session.config).state_dict().items()}
-    save_checkpoint(session.paths.checkpoints, 7, tensors, {"updates": 7})
+    save_checkpoint(session.paths.checkpoints, 7, 4, tensors, {"updates": 7})
 
 
 def write_model(session):

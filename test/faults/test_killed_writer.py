@@ -170,5 +170,5 @@ def open_and_write_everything(root):
     """What the next run does, which clears away what was left half written."""
     with Session.open_for_writing(configuration(root, resume=True)) as session:
         last = load_latest(session.paths.checkpoints)
-        save_checkpoint(session.paths.checkpoints, last.updates + 1, last.tensors, last.counters)
+        save_checkpoint(session.paths.checkpoints, last.updates + 1, last.observations, last.tensors, last.counters)
         save_fingerprints(session.paths.path, fingerprints(session.config))

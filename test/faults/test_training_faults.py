@@ -280,7 +280,7 @@ def test_checkpoint_without_its_observations_is_refused(tmp_path):
         {"generator": []},
         {"generator": None},
         {"updates": "many"},
-        {"earlier_updates": None},
+        {"previous_replica_updates": None},
     ],
 )
 def test_invalid_counters_are_refused(tmp_path, damage):

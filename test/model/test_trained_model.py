@@ -142,7 +142,7 @@ def open_session(root, **sections):
 
 def write_checkpoint(session, updates, network):
     packed = {f"network/{name}": tensor for name, tensor in network.state_dict().items()}
-    save_checkpoint(session.paths.checkpoints, updates, {**packed, "adam/step": torch.zeros(())}, {})
+    save_checkpoint(session.paths.checkpoints, updates, 10, {**packed, "adam/step": torch.zeros(())}, {})
 
 
 def assert_same_weights(trained, network):

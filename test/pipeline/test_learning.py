@@ -265,7 +265,7 @@ print(json.dumps([early, late, "learn" in dir(eal), hasattr(eal, "nothing")]))
 
 
 @pytest.mark.parametrize("value", [None, "text", [1], {"a": 1}])
-@pytest.mark.parametrize("counter", ["observations", "updates", "skipped", "schedule", "generator"])
+@pytest.mark.parametrize("counter", ["updates", "skipped", "rollbacks", "replica_updates", "schedule", "generator"])
 def test_checkpoint_with_invalid_counter_is_refused(learned, tmp_path, counter, value):
     """Its checksum is right, as if a program had written it."""
     session, _ = learned
@@ -274,7 +274,8 @@ def test_checkpoint_with_invalid_counter_is_refused(learned, tmp_path, counter, 
     newest = load_latest(path / "checkpoints")
     for other in (path / "checkpoints").iterdir():
         other.unlink()
-    save_checkpoint(path / "checkpoints", newest.updates, newest.tensors, {**newest.counters, counter: value})
+    counters = {**newest.counters, counter: value}
+    save_checkpoint(path / "checkpoints", newest.updates, newest.observations, newest.tensors, counters)
     config = tiny(tmp_path, resume=True)
     with pytest.raises(CorruptFileError, match=r"checkpoint_\d+\.safetensors"):
         learning.TrainingRun(config)

@@ -16,10 +16,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safetensors import safe_open
-from safetensors.torch import save, save_file
+from safetensors.torch import save
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
+from embodied_active_learning.session import array_files
 from embodied_active_learning.session.atomic import replace_file, write_text
 from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint, save_model
 
@@ -44,10 +44,11 @@ def assert_equal(found, expected):
 
 
 def test_checkpoint_round_trip(tmp_path):
-    counters = {"observations": 214, "beta": [1e-4, 0.1], "draws": {"state": 2**127 + 1, "name": "PCG64"}}
-    save_checkpoint(tmp_path, 600, tensors(), counters)
+    counters = {"beta": [1e-4, 0.1], "draws": {"state": 2**127 + 1, "name": "PCG64"}}
+    save_checkpoint(tmp_path, 600, 214, tensors(), counters)
     checkpoint = load_latest(tmp_path)
-    assert (checkpoint.updates, checkpoint.counters, checkpoint.refused) == (600, counters, ())
+    assert (checkpoint.updates, checkpoint.observations, checkpoint.counters) == (600, 214, counters)
+    assert checkpoint.refused == ()
     assert_equal(checkpoint.tensors, tensors())
 
 
@@ -59,14 +60,14 @@ def test_missing_checkpoint_is_none(tmp_path):
 def test_newest_checkpoints_are_kept(tmp_path):
     (tmp_path / ".checkpoint_000000001.safetensors.99999999.1.tmp").write_bytes(b"half")
     for updates in (9, 90, 900):
-        save_checkpoint(tmp_path, updates, tensors(), {}, keep=2)
+        save_checkpoint(tmp_path, updates, 10, tensors(), {}, keep=2)
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["checkpoint_000000090.safetensors", "checkpoint_000000900.safetensors"]
 
 
 def test_damaged_checkpoint_falls_back_to_older_one(tmp_path):
     for updates in (1, 2, 3):
-        path = save_checkpoint(tmp_path, updates, tensors(updates), {"n": updates}, keep=3)
+        path = save_checkpoint(tmp_path, updates, 10, tensors(updates), {"n": updates}, keep=3)
     path.write_bytes(path.read_bytes()[:-1])
     (tmp_path / "checkpoint_000000004.safetensors").write_bytes(b"")
     checkpoint = load_latest(tmp_path)
@@ -77,29 +78,29 @@ def test_damaged_checkpoint_falls_back_to_older_one(tmp_path):
 
 def test_checkpoint_after_fallback_replaces_damaged_ones(tmp_path):
     for updates in (1, 2):
-        save_checkpoint(tmp_path, updates, tensors(), {}, keep=2)
+        save_checkpoint(tmp_path, updates, 10, tensors(), {}, keep=2)
     (tmp_path / "checkpoint_000000009.safetensors").write_bytes(b"damaged")
-    save_checkpoint(tmp_path, 3, tensors(), {}, keep=2)
+    save_checkpoint(tmp_path, 3, 10, tensors(), {}, keep=2)
     assert sorted(path.name[18:20] for path in tmp_path.iterdir()) == ["02", "03"]
 
 
 def test_only_damaged_checkpoints_are_an_error(tmp_path):
-    save_checkpoint(tmp_path, 5, tensors(), {}).write_bytes(b"damaged")
-    with pytest.raises(CorruptFileError, match=r"all checkpoints in .* are damaged: .*000000005"):
+    save_checkpoint(tmp_path, 5, 10, tensors(), {}).write_bytes(b"damaged")
+    with pytest.raises(CorruptFileError, match=r"no checkpoint in .* can be used: .*000000005"):
         load_latest(tmp_path)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_non_finite_tensor_does_not_replace_checkpoint(tmp_path, value):
-    save_checkpoint(tmp_path, 1, tensors(), {}, keep=1)
+    save_checkpoint(tmp_path, 1, 10, tensors(), {}, keep=1)
     with pytest.raises(SessionError, match="array weight has values that are not finite"):
-        save_checkpoint(tmp_path, 2, {"weight": torch.tensor([value])}, {}, keep=1)
+        save_checkpoint(tmp_path, 2, 10, {"weight": torch.tensor([value])}, {}, keep=1)
     assert load_latest(tmp_path).updates == 1
 
 
 def test_finite_numbers_with_infinite_sum_are_stored(tmp_path):
     largest = torch.full((3,), torch.finfo(torch.float32).max)
-    save_checkpoint(tmp_path, 1, {"weight": largest}, {})
+    save_checkpoint(tmp_path, 1, 10, {"weight": largest}, {})
     assert torch.equal(load_latest(tmp_path).tensors["weight"], largest)
 
 
@@ -160,7 +161,7 @@ def test_pickle_named_safetensors_is_rejected_unexecuted(tmp_path):
 @pytest.mark.parametrize(
     ("metadata", "field"),
     [
-        (None, "format"),
+        ({}, "format"),
         ({"format": "embodied_active_learning/checkpoint"}, "format"),
         ({"format": "embodied_active_learning/model"}, "version"),
         ({"format": "embodied_active_learning/model", "version": "2"}, "version"),
@@ -169,9 +170,25 @@ def test_pickle_named_safetensors_is_rejected_unexecuted(tmp_path):
 )
 def test_file_of_another_kind_is_rejected(tmp_path, metadata, field):
     path = tmp_path / "model.safetensors"
-    path.write_bytes(save(tensors_copy(), metadata=metadata))
+    path.write_bytes(save(tensors_copy(), metadata={"header": json.dumps(metadata)}))
     with pytest.raises(CorruptFileError, match=f"model.safetensors: {field} is"):
         load_model(path)
+
+
+def test_file_without_header_is_rejected(tmp_path):
+    path = tmp_path / "model.safetensors"
+    path.write_bytes(save(tensors_copy()))
+    with pytest.raises(CorruptFileError, match=r"model.safetensors: format is None"):
+        load_model(path)
+
+
+def test_checkpoint_of_another_version_is_rejected(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(array_files, "_VERSIONS", {})
+        save_checkpoint(tmp_path, 5, 10, tensors(), {})
+    message = "no checkpoint .* version is '1', but this package reads version '2' only: .* train again"
+    with pytest.raises(CorruptFileError, match=message):
+        load_latest(tmp_path)
 
 
 def tensors_copy():
@@ -205,7 +222,7 @@ import torch
 from embodied_active_learning.session.checkpoints import save_checkpoint
 print("ready", flush=True)
 for updates in range(int(sys.argv[2]), 10**6):
-    save_checkpoint(sys.argv[1], updates, {"weight": torch.full((50000,), float(updates))}, {"n": updates})
+    save_checkpoint(sys.argv[1], updates, 10, {"weight": torch.full((50000,), float(updates))}, {"n": updates})
     print(updates, flush=True)
 """
 
@@ -238,10 +255,10 @@ import torch
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.session.checkpoints import save_checkpoint
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-save_checkpoint({str(tmp_path)!r}, 1, {{"weight": torch.ones(3)}}, {{}}, keep=1)
+save_checkpoint({str(tmp_path)!r}, 1, 10, {{"weight": torch.ones(3)}}, {{}}, keep=1)
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
 try:
-    save_checkpoint({str(tmp_path)!r}, 2, {{"weight": torch.ones(30000)}}, {{}}, keep=1)
+    save_checkpoint({str(tmp_path)!r}, 2, 10, {{"weight": torch.ones(30000)}}, {{}}, keep=1)
 except SessionError as error:
     assert "the previous file is kept" in str(error), error
 else:
@@ -261,7 +278,7 @@ else:
 )
 def test_any_finite_numbers_round_trip(tmp_path_factory, values, counters):
     folder = tmp_path_factory.mktemp("checkpoints")
-    save_checkpoint(folder, 1, {"values": torch.tensor(values, dtype=torch.float32)}, counters)
+    save_checkpoint(folder, 1, 10, {"values": torch.tensor(values, dtype=torch.float32)}, counters)
     checkpoint = load_latest(folder)
     assert checkpoint.tensors["values"].tolist() == values
     assert checkpoint.counters == counters
@@ -273,18 +290,6 @@ def test_equal_content_gives_equal_bytes(tmp_path):
     for path in paths:
         save_model(path, tensors, {"updates": 1, "observations": 2})
     assert len({path.read_bytes() for path in paths}) == 1
-
-
-def test_metadata_of_older_versions_is_read(tmp_path):
-    """Older versions stored the fields of the header as separate metadata."""
-    path = tmp_path / "model.safetensors"
-    save_model(path, {"w": torch.ones(3)}, {"updates": 1})
-    with safe_open(str(path), framework="pt") as stored:
-        metadata = json.loads(stored.metadata()["header"])
-    save_file({"w": torch.ones(3)}, str(path), metadata)
-    tensors, facts = load_model(path)
-    assert torch.equal(tensors["w"], torch.ones(3))
-    assert facts == {"updates": 1}
 
 
 def test_sparse_file_beyond_memory_is_rejected(tmp_path):

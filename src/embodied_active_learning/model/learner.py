@@ -271,7 +271,7 @@ class Learner:
             "updates": self.updates,
             "skipped": self.skipped,
             "rollbacks": self.rollbacks,
-            "snapshot_updates": self.replicas.updates,
+            "replica_updates": self.replicas.updates,
             "schedule": self.loss_weights.state_dict(),
             "generator": self._random.bit_generator.state,
         }
@@ -279,7 +279,7 @@ class Learner:
         tensors.update(copy_with_prefix(ADAM, self._optimiser.state_dict()))
         previous = self.replicas.weights_before(self.updates)
         if previous is not None:
-            weights, counters["earlier_updates"] = previous
+            weights, counters["previous_replica_updates"] = previous
             tensors.update(copy_with_prefix(PREVIOUS, weights))
         return LearnerState(tensors, counters)
 
@@ -291,7 +291,7 @@ class Learner:
             CorruptFileError: A tensor or counter is missing or invalid.
         """
         tensors, counters = state
-        require_keys(counters, ("updates", "skipped", "schedule", "generator"))
+        require_keys(counters, ("updates", "skipped", "rollbacks", "replica_updates", "schedule", "generator"))
         current = self.state_dict().tensors
         require_shapes(tensors, {name: current[name] for name in current if not name.startswith(PREVIOUS)})
         previous = with_prefix(PREVIOUS, tensors)
@@ -301,8 +301,8 @@ class Learner:
         self._optimiser.load_state_dict(with_prefix(ADAM, tensors))
         try:
             self._load_counters(counters)
-            previous_updates = int(counters["earlier_updates"]) if previous else 0
-            replica_updates = int(counters.get("snapshot_updates", self.updates))
+            previous_updates = int(counters["previous_replica_updates"]) if previous else 0
+            replica_updates = int(counters["replica_updates"])
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise CorruptFileError(
                 f"invalid counters in the checkpoint: {error!r}; delete the file to use an older one"
@@ -328,8 +328,8 @@ class Learner:
 
     def _load_counters(self, counters: Dict[str, Any]) -> None:
         self.updates, self.skipped = int(counters["updates"]), int(counters["skipped"])
+        self.rollbacks = int(counters["rollbacks"])
         self._prepared = -1
-        self.rollbacks = int(counters.get("rollbacks", 0))
         self.loss_weights.load_state_dict(counters["schedule"])
         self._random.bit_generator.state = counters["generator"]
 

@@ -11,8 +11,8 @@ from embodied_active_learning.model.optimiser import copy_to_cpu
 
 NETWORK = "network/"
 ADAM = "adam/"
-PREVIOUS = "earlier/"
-"""Prefixes of tensor names; PREVIOUS keeps the name that files of older versions have."""
+PREVIOUS = "previous_replica/"
+"""Prefixes of tensor names; PREVIOUS: of the replica of the previous refresh."""
 
 
 class LearnerState(NamedTuple):

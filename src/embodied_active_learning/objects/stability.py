@@ -133,7 +133,7 @@ class StoppingCriterion:
         """Restore state_dict(). Raises CorruptFileError."""
         try:
             restored = [_points(centres) for centres in state["centres"]]
-            undiscovered = [int(number) for number in state.get("undiscovered", ())]  # earlier versions have none
+            undiscovered = [int(number) for number in state["undiscovered"]]
         except (KeyError, TypeError, ValueError) as error:
             raise CorruptFileError(f"invalid state of the stopping criterion: {error!r}") from error
         self._centres.clear()

@@ -411,11 +411,10 @@ class TrainingRun:
             raise DivergenceError(
                 f"training diverged: {invalid} is not finite at update {self.updates}; lower training/learning_rate"
             )
-        counters["observations"] = self.observations
         if self._early_stop is not None:
             counters["early_stop"] = self._early_stop.state_dict()
-        kept = self._config.training.checkpoints_kept
-        path = save_checkpoint(self._session.paths.checkpoints, self.updates, tensors, counters, kept)
+        folder, kept = self._session.paths.checkpoints, self._config.training.checkpoints_kept
+        path = save_checkpoint(folder, self.updates, self.observations, tensors, counters, kept)
         self._checkpointed = content, path
         self._initial = None
         return path

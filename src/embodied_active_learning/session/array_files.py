@@ -15,11 +15,12 @@ from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.files import FileReader, open_regular_file
 from embodied_active_learning.session.atomic import write_bytes
 
-VERSION = "1"
 READER = FileReader(CorruptFileError, "restore the file, or train again", limit=2**32)
 _HEADER = "header"  # a single key of metadata: safetensors writes several in random order
 _MAX_HEADER_SIZE = 2**22  # bytes
 _LENGTH_BYTES = 8
+_VERSIONS = {"checkpoint": "2"}
+"""Version of each kind of file, by default 1. Raise it if arrays or facts are renamed."""
 _TYPES = tuple(map(np.dtype, (np.float32, np.float64, np.uint8, np.int32, np.int64, np.uint64, np.bool_)))
 Arrays = Dict[str, np.ndarray]
 
@@ -32,7 +33,7 @@ def write_arrays(path: Path, kind: str, arrays: Mapping[str, np.ndarray], facts:
     """
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     text = json.dumps(facts, sort_keys=True, allow_nan=False)
-    header = {"format": _format(kind), "version": VERSION, "facts": text, "sha256": _digest(contiguous, text)}
+    header = {"format": _format(kind), "version": _version(kind), "facts": text, "sha256": _digest(contiguous, text)}
     write_bytes(path, save(contiguous, metadata={_HEADER: json.dumps(header, sort_keys=True)}))
 
 
@@ -53,7 +54,8 @@ def read_arrays(path: Path, kind: str, reader: FileReader = READER) -> Tuple[Arr
     _check_header_size(path, reader)
     arrays, metadata = _read(path, reader)
     header = _header(path, metadata, reader)
-    reader.expect(path, header, {"format": _format(kind), "version": VERSION})
+    reader.expect(path, header, {"format": _format(kind)})
+    reader.expect_version(path, header, _version(kind))
     for name, array in arrays.items():
         if array.dtype not in _TYPES:
             expected = ", ".join(map(str, _TYPES))
@@ -109,10 +111,8 @@ def _read(path: Path, reader: FileReader) -> Tuple[Arrays, Dict[str, str]]:
 
 
 def _header(path: Path, metadata: Mapping[str, str], reader: FileReader) -> Mapping[str, Any]:
-    """Return the header; older versions stored its fields as separate metadata."""
-    if _HEADER not in metadata:
-        return metadata
-    header = reader.parse_json(f"{path}: {_HEADER}", metadata[_HEADER])
+    """Return the fields of the header; none if it is missing."""
+    header = reader.parse_json(f"{path}: {_HEADER}", metadata.get(_HEADER, "{}"))
     for name, value in header.items():
         if not isinstance(value, str):
             raise reader.make_error(f"{path}:", f"{name} of the header is not a text")
@@ -134,12 +134,16 @@ def _format(kind: str) -> str:
     return f"embodied_active_learning/{kind}"
 
 
+def _version(kind: str) -> str:
+    return _VERSIONS.get(kind, "1")
+
+
 def _digest(arrays: Mapping[str, np.ndarray], text: str) -> str:
     """Return the SHA-256 of everything that is read back."""
     digest = hashlib.sha256(text.encode("utf-8"))
     for name in sorted(arrays):
         array = arrays[name]
-        # Type names of torch, as in the first version of the format.
+        # Type names of torch are part of the format.
         digest.update(json.dumps([name, f"torch.{array.dtype}", list(array.shape)]).encode("utf-8"))
         digest.update(np.asarray(array, order="C").reshape(-1).view(np.uint8).data)
     return digest.hexdigest()

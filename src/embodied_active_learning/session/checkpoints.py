@@ -11,8 +11,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 import torch
 
 from embodied_active_learning.errors import CorruptFileError
-from embodied_active_learning.files import FileReader
-from embodied_active_learning.schema import build, required, setting
+from embodied_active_learning.schema import build, required
 from embodied_active_learning.session.array_files import READER
 from embodied_active_learning.session.atomic import make_folder, remove_leftovers
 from embodied_active_learning.session.paths import stays_inside
@@ -29,7 +28,7 @@ class Checkpoint(NamedTuple):
     tensors: Dict[str, torch.Tensor]
     counters: Dict[str, Any]
     observations: int  # that it was trained on
-    refused: Tuple[str, ...] = ()  # errors of newer checkpoints that are damaged
+    refused: Tuple[str, ...] = ()  # errors of newer checkpoints that cannot be used
 
 
 @dataclass(frozen=True)
@@ -37,24 +36,24 @@ class _Facts:
     """The facts of a checkpoint file."""
 
     updates: int = required("model updates", low=0)
+    observations: int = required("stored observations", low=0)
     counters: Dict[str, Any] = required("counters of the training")  # noqa: RUF009
 
 
-@dataclass(frozen=True)
-class _Counters:
-    """The counter that the session checks; the others belong to the learner."""
-
-    observations: int = setting(0, "observations at the time of the checkpoint", low=0)
-
-
 def save_checkpoint(
-    folder: Path, updates: int, tensors: Dict[str, torch.Tensor], counters: Dict[str, Any], keep: int = 2
+    folder: Path,
+    updates: int,
+    observations: int,
+    tensors: Dict[str, torch.Tensor],
+    counters: Dict[str, Any],
+    keep: int = 2,
 ) -> Path:
     """Write a checkpoint and delete older ones.
 
     Args:
         folder: Folder of the checkpoints.
         updates: Number of model updates.
+        observations: Number of observations.
         tensors: State of network and optimiser.
         counters: Plain data (numbers, texts, lists, dictionaries).
         keep: Number of checkpoints to keep, including the new one.
@@ -67,7 +66,8 @@ def save_checkpoint(
     make_folder(folder)
     remove_leftovers(folder)
     path = folder / f"checkpoint_{updates:09d}.safetensors"
-    write_tensors(path, "checkpoint", tensors, {"updates": updates, "counters": counters})
+    facts = {"updates": updates, "observations": observations, "counters": counters}
+    write_tensors(path, "checkpoint", tensors, facts)
     stored = _newest_first(folder)
     # Checkpoints of more updates were written before a rollback.
     kept = stored[stored.index(path) :][:keep]
@@ -82,7 +82,7 @@ def load_latest(folder: Path) -> Optional[Checkpoint]:
     """Return the newest intact checkpoint; None without checkpoints.
 
     Raises:
-        CorruptFileError: All checkpoints are damaged.
+        CorruptFileError: All checkpoints are damaged or of another version.
     """
     refused: List[str] = []
     for path in _newest_first(stays_inside(Path(folder).parent, Path(folder))):
@@ -90,13 +90,11 @@ def load_latest(folder: Path) -> Optional[Checkpoint]:
             tensors, stored = read_tensors(path, "checkpoint")
             facts = build(_Facts, stored, path, CorruptFileError, READER.remedy)
             READER.expect(path, stored, {"updates": int(path.stem.split("_")[1])})
-            known = {name: value for name, value in facts.counters.items() if name == "observations"}
-            counters = build(_Counters, known, f"{path}: counters", CorruptFileError, READER.remedy)
-            return Checkpoint(path, facts.updates, tensors, facts.counters, counters.observations, tuple(refused))
+            return Checkpoint(path, facts.updates, tensors, facts.counters, facts.observations, tuple(refused))
         except CorruptFileError as error:
             refused.append(str(error))
     if refused:
-        raise CorruptFileError(f"all checkpoints in {folder} are damaged: {'; '.join(refused)}")
+        raise CorruptFileError(f"no checkpoint in {folder} can be used: {'; '.join(refused)}")
     return None
 
 
@@ -105,9 +103,9 @@ def save_model(path: Path, tensors: Dict[str, torch.Tensor], metadata: Dict[str,
     write_tensors(Path(path), "model", tensors, metadata)
 
 
-def load_model(path: Path, reader: FileReader = READER) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
+def load_model(path: Path) -> Tuple[Dict[str, torch.Tensor], Dict[str, Any]]:
     """Return the tensors of a model and the facts about it. Raises CorruptFileError naming the file and the field."""
-    return read_tensors(Path(path), "model", reader)
+    return read_tensors(Path(path), "model")
 
 
 def _newest_first(folder: Path) -> List[Path]:

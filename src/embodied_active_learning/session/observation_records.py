@@ -89,7 +89,8 @@ class RecordLayout:
     def load(cls, path: Path) -> RecordLayout:
         """Read a layout. Raises CorruptFileError naming the file, the field and the expected value."""
         stored = _READER.read_json(path)
-        _READER.expect(path, stored, {"format": FORMAT, "version": VERSION})
+        _READER.expect(path, stored, {"format": FORMAT})
+        _READER.expect_version(path, stored, VERSION)
         content = build(_LayoutFile, stored, path, CorruptFileError, _READER.remedy)
         height, width, _ = content.image_shape
         layout = cls((height, width, 3))
