@@ -27,7 +27,7 @@ _YAWS = 3
 _REFINEMENT_DISTANCE = 0.02  # m
 _REFINEMENT_TURN = 0.5  # rad
 _CLEARLY_BELOW = 0.5
-"""Share of the miss limit that an object reaches also in few or distant views, or on a table of its colours."""
+"""Share of the miss limit that an object reaches also in few or distant views."""
 _MAX_TABLE_MATCH = 0.3
 """Share of the scene with the object's colours above which similarities just below the miss limit decide nothing."""
 
@@ -117,8 +117,7 @@ class DecisionRule:
     ) -> Decision:
         """Decide at a candidate pose, given why absence cannot be stated and the share of the scene in its colours."""
         limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
-        clearly_below = -1.0 < value < min(_CLEARLY_BELOW * limits.miss, limits.miss)
-        if candidate.near < MIN_VIEWS and not clearly_below:
+        if candidate.near < MIN_VIEWS and not _is_clearly_below(value, limits.miss):
             outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
         elif value >= limits.miss and target.has_height and _is_flat(target, views, candidate.pose):
             outcome = NOT_HERE
@@ -134,7 +133,8 @@ class DecisionRule:
             )
         elif unseen:
             outcome, reason = UNDECIDED, f"best similarity {value:.2f}, but {unseen}"
-        elif table_match > _MAX_TABLE_MATCH and not clearly_below:
+        # On a table of its colours an object is hardly more similar than the table around it.
+        elif table_match > _MAX_TABLE_MATCH and not _is_clearly_below(value, limits.miss, 1.0 - table_match):
             outcome = UNDECIDED
             reason = (
                 f"best similarity {value:.2f}, but {100 * table_match:.0f} % of the scene has the object's colours: "
@@ -212,6 +212,11 @@ class DecisionRule:
         """Whether two different objects cannot both be where they were found."""
         near = pose_distance(one.pose, other.pose)[0] < self._settings.separation
         return bool(one.kind == other.kind and one.fingerprint != other.fingerprint and near)
+
+
+def _is_clearly_below(value: float, miss: float, contrast: float = 1.0) -> bool:
+    """Whether a similarity is too low for an object whose surroundings lower it by a factor; False if none is known."""
+    return -1.0 < value < min(contrast * _CLEARLY_BELOW * miss, miss)
 
 
 def _is_flat(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:

@@ -22,7 +22,7 @@ import numpy as np
 
 from embodied_active_learning.errors import ObservationError
 
-CALIBRATION_VERSION = 8
+CALIBRATION_VERSION = 9
 """Version of similarity and calibration: stored limits of another version do not apply."""
 
 

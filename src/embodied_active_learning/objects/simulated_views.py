@@ -24,8 +24,8 @@ _GAIN, _GRADIENT, _BALANCE = (-0.9, 0.4), 0.25, 0.12
 _NOISE = (0.0, 2.5)
 """Range of the standard deviation of the noise after the blur, in levels: up to 11 levels before it."""
 _DIFFERENCE = (0.01, 0.05)
-"""Range of the standard deviation of differences that nothing else simulates, in features. Without them the limits of a
-plain object are nearer to its similarities in real scenes, but above those of a glossy one."""
+"""Range of the standard deviation of a look-alike's other differences from the object, in features: a copy with exactly
+its colours is rarer than objects that resemble it. Without them a glossy object would rarely exceed its look-alikes."""
 _TABLE_LUMINANCE, _TABLE_COLOUR, _TABLE_CONTRAST, _TABLE_WAVES = (-2.0, -0.1), 0.9, 0.3, (60.0, 400.0)
 """Ranges of a simulated table: log luminance, distance from grey, amplitude and wave number [rad/m] of a pattern."""
 _STRETCH, _SCALES, _BEND, _BEND_WAVES = (1.2, 1.5), (0.66, 1.5), 0.012, (0.06, 0.1)
@@ -48,7 +48,7 @@ class SimulatedViews:
         self._balance = random.uniform(-_BALANCE, _BALANCE, 3)
         self._table = _draw_table(random)
         self._noise = random.uniform(*_NOISE)
-        self._difference = random.uniform(*_DIFFERENCE)
+        self._difference = random.uniform(*_DIFFERENCE) if look_alike else 0.0
         self._kept = np.cos(random.uniform(0.0, np.pi))
         self._turn = random.uniform(0.0, 360.0)
         self._mean = appearance.inside_features[appearance.central_view].mean(axis=0)
