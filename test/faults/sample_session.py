@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any, Callable, Dict, NamedTuple, Type
 
@@ -16,6 +17,7 @@ from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.model.learner_state import NETWORK
 from embodied_active_learning.objects.fingerprint import OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.identification import Identification
+from embodied_active_learning.objects.limits import Calibration
 from embodied_active_learning.pipeline.exploration import ExplorationRun
 from embodied_active_learning.session.arm_states import ArmStates
 from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
@@ -51,6 +53,8 @@ class Kind(NamedTuple):
 
     path: str
     read: Callable[[Path], Any]  # of the sample's folder; what comes back can be compared
+    remedy: str = ""  # in every message about it
+    limit: int = 2**18  # largest file that is read [bytes]
     error: Type[EmbodiedActiveLearningError] = CorruptFileError
     checked: bool = True  # whether a change of its content is noticed; people's own files have no checksum
 
@@ -85,6 +89,7 @@ def fingerprints(config: Config, number: int = 1) -> FingerprintSet:
         latent_means=random.normal(size=(2, 2)).astype(np.float32),
         latent_stds=np.ones((2, 2), np.float32),
         importance=0.5,
+        calibration=Calibration(np.linspace(0.3, 0.7, 5), np.linspace(-0.1, 0.5, 5)),
     )
     weights = network(config).state_dict()
     return FingerprintSet(NAME, number, OBSERVATIONS, "2026-11-22T12:45:00Z", config, weights, (item,))
@@ -149,6 +154,8 @@ def _write_files_of_people(folder: Path) -> None:
 
 def _plain(value: Any) -> Any:
     """Arrays and tensors as bytes, so that two of a kind can be compared."""
+    if dataclasses.is_dataclass(value):
+        value = vars(value)
     if isinstance(value, torch.Tensor):
         value = value.numpy()
     if isinstance(value, np.ndarray):
@@ -172,14 +179,12 @@ def _checkpoint(path: Path) -> Any:
 
 def _memory(path: Path) -> Any:
     found = load_planner_state(path / "planner.safetensors")
-    return found and _plain(vars(found))
+    return found and _plain(found)
 
 
 def _set(path: Path) -> Any:
     found = load_fingerprints(path)
-    return found.session, found.updates, found.created, _plain(found.weights), [
-        _plain(vars(item)) for item in found.fingerprints
-    ]  # fmt: skip
+    return found.session, found.updates, found.created, _plain(found.weights), _plain(found.fingerprints)
 
 
 def _world(path: Path) -> Any:
@@ -189,7 +194,7 @@ def _world(path: Path) -> Any:
 
 def _decisions(path: Path) -> Any:
     found = load_identification(path, "first")
-    return found.name, found.session, found.images, [_plain(vars(decision)) for decision in found.decisions]
+    return found.name, found.session, found.images, _plain(found.decisions)
 
 
 def _table(name: str) -> Callable[[Path], Any]:
@@ -197,32 +202,41 @@ def _table(name: str) -> Callable[[Path], Any]:
 
 
 _GENERATION = "fingerprints/000001"
+_TRAIN = "restore the file, or train again"
+_FINGERPRINT = "restore it, or call /fingerprint again"
+_OTHER_SESSION = "choose another session"
 KINDS = (
-    Kind("config.yaml", lambda path: Session.open_read_only(path).config.to_dict()),
-    Kind("summary.yaml", lambda path: vars(read_summary(path / "summary.yaml"))),
-    Kind("observations/format.json", _observations),
-    Kind("observations/observations.bin", _observations),
-    Kind("exploration.csv", _table("exploration"), checked=False),
-    Kind("training.csv", _table("training"), checked=False),
-    Kind("evaluation.csv", _table("evaluation"), checked=False),
-    Kind("checkpoints/checkpoint_000000003.safetensors", _checkpoint),
-    Kind("model.safetensors", lambda path: _plain(load_session_model(Session.open_read_only(path)).weights)),
-    Kind("planner.safetensors", _memory),
-    Kind("arm_states.safetensors", _arm_states),
-    Kind(f"{_GENERATION}/set.yaml", _set),
-    Kind(f"{_GENERATION}/model.safetensors", _set),
-    Kind(f"{_GENERATION}/object-1/fingerprint.safetensors", _set),
-    Kind("identification/first/decisions.yaml", _decisions),
-    Kind("identification/first/trace.safetensors", lambda path: _plain(load_trace(path, "first"))),
-    Kind("identification/first/beliefs.safetensors", lambda path: _plain(load_beliefs(path, "first"))),
+    Kind("config.yaml", lambda path: Session.open_read_only(path).config.to_dict(), f"restore it, or {_OTHER_SESSION}"),
+    Kind("summary.yaml", lambda path: vars(read_summary(path / "summary.yaml")), "resume the run"),
+    Kind("observations/format.json", _observations, f"restore the file, or {_OTHER_SESSION}", 2**16),
+    Kind("observations/observations.bin", _observations, "restore the file, or start a new session"),
+    Kind("exploration.csv", _table("exploration"), _OTHER_SESSION, 2**28, checked=False),
+    Kind("training.csv", _table("training"), _OTHER_SESSION, 2**28, checked=False),
+    Kind("evaluation.csv", _table("evaluation"), _OTHER_SESSION, 2**28, checked=False),
+    Kind("checkpoints/checkpoint_000000003.safetensors", _checkpoint, _TRAIN, 2**32),
+    Kind(
+        "model.safetensors",
+        lambda path: _plain(load_session_model(Session.open_read_only(path)).weights),
+        _TRAIN,
+        2**32,
+    ),
+    Kind("planner.safetensors", _memory, "delete it; the planner then resumes from the stored observations", 2**30),
+    Kind("arm_states.safetensors", _arm_states, "delete it; the arm then cannot return to states before", 2**24),
+    Kind(f"{_GENERATION}/set.yaml", _set, _FINGERPRINT),
+    Kind(f"{_GENERATION}/model.safetensors", _set, _FINGERPRINT, 2**32),
+    Kind(f"{_GENERATION}/object-1/fingerprint.safetensors", _set, _FINGERPRINT, 2**30),
+    Kind(f"{_GENERATION}/object-1/calibration.safetensors", _set, _FINGERPRINT),
+    Kind("identification/first/decisions.yaml", _decisions, "identify again"),
+    Kind("identification/first/trace.safetensors", lambda path: _plain(load_trace(path, "first")), limit=2**32),
+    Kind("identification/first/beliefs.safetensors", lambda path: _plain(load_beliefs(path, "first")), limit=2**32),
     Kind(
         "people/profile.yaml",
         lambda path: Config.from_dict(load_profile(path / "people" / "profile.yaml")).to_dict(),
-        ConfigError,
+        error=ConfigError,
         checked=False,
     ),
-    Kind("people/world.yaml", _world, WorldError, checked=False),
-    Kind("people/thing.urdf", _world, WorldError, checked=False),
-    Kind("people/thing.obj", _world, WorldError, checked=False),
-    Kind("people/table.png", _world, WorldError, checked=False),
+    Kind("people/world.yaml", _world, error=WorldError, checked=False),
+    Kind("people/thing.urdf", _world, limit=2**20, error=WorldError, checked=False),
+    Kind("people/thing.obj", _world, limit=2**27, error=WorldError, checked=False),
+    Kind("people/table.png", _world, limit=2**26, error=WorldError, checked=False),
 )

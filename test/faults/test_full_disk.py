@@ -93,7 +93,15 @@ def write_end(session):
     write_summary(session.paths.summary, summarise(session, True, 99.0))
 
 
-WRITERS = [write_checkpoint, write_model, write_fingerprints, write_identification, write_figure, write_end]
+KEPT = {
+    write_checkpoint: "the previous file is kept",
+    write_model: "the previous file is kept",
+    write_fingerprints: "free disk space, or make the folder writable; the previous set is kept",
+    write_identification: "free disk space, or make the folder writable; the previous one is kept",
+    write_figure: "",
+    write_end: "the previous file is kept",
+}
+WRITERS = list(KEPT)
 
 
 def refusal_of(write, session):
@@ -114,6 +122,7 @@ def test_full_disk_keeps_previous_files(small_disk, sample, write, leave):
     assert leave or refusal  # a small file fits into one block
     if refusal:
         assert "No space left on device" in refusal
+        assert KEPT[write] in refusal
         assert contents(sample) == before
     assert leftovers(sample) == []
     small_disk.free()
