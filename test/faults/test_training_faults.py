@@ -1,8 +1,10 @@
 """Training with non-finite losses, and training that is stopped and resumed: finite weights, one result."""
 
 import dataclasses
+import shutil
 import threading
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -111,6 +113,20 @@ def failing(monkeypatch):
     return fail
 
 
+class Whole(NamedTuple):
+    """A run that was neither disturbed nor stopped, its answers, and the state of its learner."""
+
+    run: TrainingRun
+    answers: dict
+    state: LearnerState
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    run = TrainingRun(configured(tmp_path_factory.mktemp("whole")))
+    return Whole(run, finish(run), run._learner.state_dict())
+
+
 def test_nan_loss_skips_the_batch_and_is_counted(tmp_path, failing):
     failing([3, 4, 17])
     run = TrainingRun(configured(tmp_path))
@@ -120,14 +136,17 @@ def test_nan_loss_skips_the_batch_and_is_counted(tmp_path, failing):
     assert all(torch.isfinite(weight).all() for weight in load_model(run.folder / "model.safetensors")[0].values())
 
 
-def test_repeated_nan_loss_rolls_back_and_training_continues(tmp_path, failing):
+def test_repeated_nan_loss_rolls_back_and_training_continues(tmp_path, failing, whole):
+    """With other batches, in the hope that they do not fail again."""
     failing(range(25, 25 + ATTEMPTS))
     run = TrainingRun(configured(tmp_path))
     finish(run)
     assert (run.skipped, run.rollbacks) == (ATTEMPTS, 1)
     assert run.updates == 3 * STEPS
-    updates = [line.split(",")[0] for line in (run.folder / "training.csv").read_text().splitlines()[1:]]
-    assert updates == [str(update) for update in range(1, 3 * STEPS + 1)]
+    rows, calm = ((each.folder / "training.csv").read_text().splitlines() for each in (run, whole.run))
+    assert [row.split(",")[0] for row in rows[1:]] == [str(update) for update in range(1, 3 * STEPS + 1)]
+    assert rows[:21] == calm[:21]
+    assert rows[21:] != calm[21:]
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -155,18 +174,6 @@ def test_divergence_before_first_checkpoint_restarts_training(tmp_path, failing)
     assert run.updates == 3 * STEPS
 
 
-def test_batches_differ_after_a_rollback(tmp_path, failing):
-    failing(range(25, 25 + ATTEMPTS))
-    run = TrainingRun(configured(tmp_path / "disturbed"))
-    finish(run)
-    failing([])
-    calm = TrainingRun(configured(tmp_path / "calm"))
-    finish(calm)
-    rows = [(each.folder / "training.csv").read_text().splitlines() for each in (run, calm)]
-    assert rows[0][:21] == rows[1][:21]
-    assert rows[0][21:] != rows[1][21:]
-
-
 def test_training_fails_with_reason_after_all_rollbacks(tmp_path, failing):
     failing(range(25, 10000))
     run = TrainingRun(configured(tmp_path))
@@ -188,17 +195,15 @@ def test_non_finite_gradient_does_not_change_weights(tmp_path, failing):
 
 
 @pytest.mark.parametrize("last", [5, 9, 13, 20])
-def test_resumed_run_equals_uninterrupted_run(tmp_path, last):
-    whole = TrainingRun(configured(tmp_path / "whole"))
-    expected = finish(whole)
-    first = TrainingRun(configured(tmp_path / "stopped"))
+def test_resumed_run_equals_uninterrupted_run(tmp_path, whole, last):
+    first = TrainingRun(configured(tmp_path))
     with training(first):
         answers = learn(first, last)
-    again = TrainingRun(configured(tmp_path / "stopped", resume=True))
+    again = TrainingRun(configured(tmp_path, resume=True))
     assert again.observations == last
     answers.update(finish_from(again, last))
-    assert answers == expected
-    assert outcome(whole.folder) == outcome(again.folder)
+    assert answers == whole.answers
+    assert outcome(again.folder) == outcome(whole.run.folder)
 
 
 @contextmanager
@@ -224,27 +229,23 @@ def trained(run, stop_at=None):
 
 
 @pytest.mark.parametrize("behind", [1, 2, 3])
-def test_resumed_trainer_answers_with_the_requested_model(tmp_path, behind):
-    count, states = 12, np.linspace(-0.1, 0.1, 12).reshape(4, 3)
+def test_resumed_trainer_answers_with_the_requested_model(tmp_path, whole, behind):
+    count = 12
     config = configured("")
     awaited = config.update_plan.awaited(count)
 
-    def begun(name, **session):
-        run = TrainingRun(configured(tmp_path / name, **session))
-        for index in range(run.observations, count):
-            run.observe(*observation(index))
+    def begun(**session):
+        run = TrainingRun(configured(tmp_path, **session))
+        hand_over(run, range(run.observations, count))
         return run
 
-    whole = begun("whole")
-    with trained(whole):
-        expected = whole.log_std(states, awaited)
-    with trained(begun("stopped"), stop_at=config.update_plan.due(count) - behind):
+    with trained(begun(), stop_at=config.update_plan.due(count) - behind):
         pass
-    again = begun("stopped", resume=True)
+    again = begun(resume=True)
     with trained(again):
-        values, *rest = again.log_std(states, awaited)
+        values, *rest = again.log_std(np.linspace(-0.1, 0.1, 12).reshape(4, 3), awaited)
     assert rest == [awaited, True]
-    np.testing.assert_array_equal(values, expected[0])
+    assert values.tolist() == whole.answers[count - 1]
 
 
 def finish_from(run, last):
@@ -262,10 +263,9 @@ def finish_from(run, last):
     return answers
 
 
-def test_checkpoint_without_its_observations_is_refused(tmp_path):
-    run = TrainingRun(configured(tmp_path))
-    finish(run)
-    (run.folder / "observations" / DATA_FILE).unlink()
+def test_checkpoint_without_its_observations_is_refused(tmp_path, whole):
+    shutil.copytree(whole.run.folder, tmp_path / "run")
+    (tmp_path / "run" / "observations" / DATA_FILE).unlink()
     with pytest.raises(CorruptFileError, match=rf"holds 0, but checkpoint_\d+\.safetensors was trained on {STEPS}"):
         TrainingRun(configured(tmp_path, resume=True))
 
@@ -283,12 +283,10 @@ def test_checkpoint_without_its_observations_is_refused(tmp_path):
         {"previous_replica_updates": None},
     ],
 )
-def test_invalid_counters_are_refused(tmp_path, damage):
-    run = TrainingRun(configured(tmp_path))
-    finish(run)
-    tensors, counters = run._learner.state_dict()
+def test_invalid_counters_are_refused(whole, damage):
+    state = whole.state._replace(counters={**whole.state.counters, **damage})
     with pytest.raises(CorruptFileError, match="invalid counters in the checkpoint"):
-        run._learner.load_state_dict(LearnerState(tensors, {**counters, **damage}))
+        whole.run._learner.load_state_dict(state)
 
 
 @pytest.mark.parametrize("rate", [0.3, 1.0])
