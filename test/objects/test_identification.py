@@ -58,17 +58,22 @@ def make_identification(sets=(LEARNED,), settings=SETTINGS, camera=CAMERA):
         return Identification(sets, WORKSPACE, camera, settings)
 
 
-@functools.lru_cache(maxsize=None)
-def calibrated(fingerprint, trials):
-    """Calibrate each fingerprint of the tests once."""
-    appearance = Appearance(fingerprint, LEARNED.fingerprints, CAMERA)
-    return calibrate(appearance, trials)
+CALIBRATIONS = {}
 
 
-@pytest.fixture(autouse=True)
-def _calibrate_once():
-    cached = lambda appearance, trials: calibrated(appearance.fingerprint, trials)  # noqa: E731
-    with mock.patch.object(search_target, "calibrate", cached):
+def calibrated(appearance, trials):
+    """Calibrate objects with the same views once."""
+    key = appearance.fingerprint.states.tobytes(), appearance.fingerprint.images.tobytes(), trials
+    if key not in CALIBRATIONS:
+        CALIBRATIONS[key] = calibrate(appearance, trials)
+    return CALIBRATIONS[key]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _learn_once():
+    """Learn appearance and limits of each fingerprint once, which takes most of the time of an identification."""
+    learned = functools.lru_cache(maxsize=None)(Appearance)
+    with mock.patch.multiple(search_target, Appearance=learned, calibrate=calibrated):
         yield
 
 
@@ -257,8 +262,9 @@ def test_print_that_looks_like_an_object_is_not_found(monkeypatch):
         return Relief(place, np.full((19, 19), np.hypot(*(place - printed)) > 0.03), np.zeros((19, 19)))
 
     monkeypatch.setattr(scene_views, "relief_at", relief_at)
-    assert_found(of(identify(images, (learn((RED,), BARE, fingerprint={}),)), "object-1"), [HERE])
-    assert_found(of(identify(images, (learn((RED,), BARE),)), "object-1"), [HERE, THERE])
+    without_prints = replace(LEARNED, config=replace(LEARNED.config, fingerprint=FingerprintConfig(trials=19)))
+    assert_found(of(identify(images, (without_prints,)), "object-1"), [HERE])
+    assert_found(of(identify(images), "object-1"), [HERE, THERE])
 
 
 @pytest.mark.parametrize("things", [(), (put(GREEN, HERE),)])
@@ -363,14 +369,14 @@ def test_irrelevant_camera_settings_may_differ():
 
 
 def test_two_sessions_searched_independently_in_one_stream():
-    reds, greens = learn((RED,), BARE, session="a"), learn((GREEN, BLUE), session="b")
+    first, second = replace(LEARNED, session="a"), learn((GREEN,), session="b")
     images = stream((put(RED, HERE), put(GREEN, THERE)))
-    together = identify(images, [reds, greens])
+    together = identify(images, [first, second])
     assert_found(of(together, "object-1", "a"), [HERE])
+    assert_not_found(of(together, "object-2", "a"))
     assert_found(of(together, "object-1", "b"), [THERE])
-    assert_not_found(of(together, "object-2", "b"))
-    assert [item.session for item in together] == ["a", "a", "b", "b"]
-    for sets in ([reds], [greens]):
+    assert [item.session for item in together] == ["a", "a", "a", "b"]
+    for sets in ([first], [second]):
         for item in identify(images, sets):
             (same,) = of(together, item.fingerprint, item.session)
             np.testing.assert_array_equal(same.pose, item.pose)
@@ -394,7 +400,7 @@ def same(one, other):
 
 
 def test_decisions_are_deterministic():
-    again = identify(stream())
+    again = identify(stream(), [with_fingerprints(*map(replace, LEARNED.fingerprints))])  # learned anew
     assert len(again) == len(decide()) == 3
     assert all(same(*pair) for pair in zip(again, decide()))
 
