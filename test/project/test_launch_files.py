@@ -1,20 +1,46 @@
 """Launch files: documented arguments, nodes and parameters."""
 
 import os
-import subprocess
-import sys
+import runpy
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-import yaml
+import rospy
+from roslaunch import substitution_args
 from roslaunch.arg_dump import get_args
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader, XmlParseException
 
 from embodied_active_learning.config import REAL_ROBOTS
 
-LAUNCH = sorted((Path(__file__).resolve().parents[2] / "launch").glob("*.launch"))
+ROOT = Path(__file__).resolve().parents[2]
+LAUNCH = sorted((ROOT / "launch").glob("*.launch"))
+
+
+def path_of(name):
+    return ROOT / "launch" / f"{name}.launch"
+
+
+def load(name, *arguments):
+    """Return what roslaunch would start and set."""
+    config = ROSLaunchConfig()
+    XmlLoader().load(str(path_of(name)), config, argv=list(arguments), verbose=False)
+    return config
+
+
+@pytest.fixture
+def commands(monkeypatch):
+    """The commands of parameters, which are recorded instead of run."""
+    recorded = []
+
+    def param_value(loader, verbose, name, kind, value, textfile, binfile, command):
+        recorded.append(command or "")
+        return read(loader, verbose, name, kind, value, textfile, binfile, None) if command is None else {}
+
+    read = XmlLoader.param_value
+    monkeypatch.setattr(XmlLoader, "param_value", param_value)
+    return recorded
 
 
 @pytest.mark.parametrize("path", LAUNCH, ids=lambda path: path.stem)
@@ -32,7 +58,7 @@ def test_roslaunch_lists_no_argument_as_required(name):
 
     The resolver reports a missing argument more clearly than roslaunch does.
     """
-    arguments = get_args([str(LAUNCH[0].parent / f"{name}.launch")])
+    arguments = get_args([str(path_of(name))])
     assert {argument for argument, (_, default) in arguments.items() if not default} == set()
     if name != "robot":
         assert [argument for argument, (doc, _) in arguments.items() if not doc] == []
@@ -46,10 +72,8 @@ def test_nodes_do_not_keep_parameters_of_earlier_launches(path):
             assert node.get("clear_params") == "true", f"{path.name}: node {node.get('name')}"
 
 
-def test_learn_launch_clears_private_parameters(tmp_path):
-    config = ROSLaunchConfig()
-    path = next(path for path in LAUNCH if path.stem == "learn")
-    XmlLoader().load(str(path), config, argv=[f"session_root:={tmp_path}"], verbose=False)
+def test_learn_launch_clears_private_parameters(commands):
+    config = load("learn")
     private = {f"/{node.name}/" for node in config.nodes if any(f"/{node.name}/" in name for name in config.params)}
     assert private == {"/pybullet_arm/", "/trainer/", "/ergodic_planner/", "/fingerprinter/", "/monitor/"}
     assert private <= set(config.clear_params)
@@ -57,14 +81,13 @@ def test_learn_launch_clears_private_parameters(tmp_path):
 
 @pytest.mark.parametrize("robot", REAL_ROBOTS)
 def test_launch_of_real_arm_clears_stop_and_hold(robot):
-    config = ROSLaunchConfig()
-    XmlLoader().load(str(LAUNCH[0].parent / f"{robot}_arm.launch"), config, verbose=False)
+    config = load(f"{robot}_arm")
     assert {config.params[f"/{robot}_arm/{name}"].value for name in ("stopped_by", "held_for")} == {""}
 
 
 @pytest.fixture
-def lab(tmp_path):
-    """An environment with stubs of the packages of a real arm that the launch files refer to."""
+def lab(tmp_path, monkeypatch):
+    """Stubs of the packages of a real arm that the launch files refer to."""
     files = {
         "franka_control": {
             "launch/franka_control.launch": """<launch>
@@ -85,18 +108,16 @@ def lab(tmp_path):
             path = tmp_path / package / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
-    return {**os.environ, "ROS_PACKAGE_PATH": f"{tmp_path}:{os.environ['ROS_PACKAGE_PATH']}", "ROS_HOME": str(tmp_path)}
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setattr(substitution_args, "_rospack", None)  # it remembers the packages that it found
 
 
 def test_robot_launch_starts_controller_camera_and_no_other_commander(lab):
-    address = ("robot_ip:=172.16.0.2", "robot_profile:=franka")
-
-    def roslaunch(option, *arguments):
-        command = ["roslaunch", option, "embodied_active_learning", "robot.launch", *address, *arguments]
-        return subprocess.run(command, env=lab, check=True, capture_output=True, text=True).stdout
-
-    assert set(roslaunch("--nodes").split()) == {"/franka_control", "/usb_cam", "/franka_arm", "/camera_pipeline"}
-    parameters = yaml.safe_load(roslaunch("--dump-params", "exposure:=100", "video_device:=/dev/video3"))
+    options = ("exposure:=100", "video_device:=/dev/video3")
+    config = load("robot", "robot_ip:=172.16.0.2", "robot_profile:=franka", *options)
+    names = {f"{node.namespace}{node.name}" for node in config.nodes}
+    assert names == {"/franka_control", "/usb_cam", "/franka_arm", "/camera_pipeline"}
+    parameters = {name: parameter.value for name, parameter in config.params.items()}
     assert parameters["/franka_control/robot_ip"] == "172.16.0.2"
     assert parameters["/cartesian_impedance_example_controller/arm_id"] == "panda"
     camera = {name.rsplit("/", 1)[1]: value for name, value in parameters.items() if name.startswith("/usb_cam/")}
@@ -109,7 +130,6 @@ def test_robot_launch_starts_controller_camera_and_no_other_commander(lab):
 
 
 def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
-    config = ROSLaunchConfig()
     arguments = {
         "robot_host": "10.77.0.1",
         "server_host": "10.77.0.2",
@@ -121,8 +141,7 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
         "trainers": "3",
         "session_root": tmp_path,
     }
-    path = next(path for path in LAUNCH if path.stem == "two_machines")
-    XmlLoader().load(str(path), config, argv=[f"{name}:={value}" for name, value in arguments.items()], verbose=False)
+    config = load("two_machines", *(f"{name}:={value}" for name, value in arguments.items()))
     config.assign_machines()
     places = {node.name: node.machine.address for node in config.nodes}
     at_robot = {name for name, address in places.items() if address == "10.77.0.1"}
@@ -135,11 +154,9 @@ def test_two_machines_run_arm_at_robot_and_rest_on_server(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["learn", "identify"])
-def test_recorder_is_respawned(tmp_path, name):
-    config = ROSLaunchConfig()
-    arguments = [f"session_root:={tmp_path}", "record:=true", "respawn:=true", "once:=false"]
-    XmlLoader().load(str(LAUNCH[0].parent / f"{name}.launch"), config, argv=arguments, verbose=False)
-    recorder = next(node for node in config.nodes if node.name == "recorder")
+def test_recorder_is_respawned(commands, name):
+    nodes = load(name, "record:=true", "respawn:=true", "once:=false").nodes
+    recorder = next(node for node in nodes if node.name == "recorder")
     assert recorder.respawn
     assert recorder.respawn_delay == 3.0
 
@@ -149,10 +166,9 @@ NOT_ON_TWO_MACHINES = {"world", "local_workers"}
 
 
 def test_two_machines_pass_all_arguments_of_learn_launch():
-    learn = next(path for path in LAUNCH if path.stem == "learn")
-    declared = {item.get("name") for item in ElementTree.parse(learn).getroot().findall("arg") if not item.get("value")}
-    path = next(path for path in LAUNCH if path.stem == "two_machines")
-    includes = {include.get("file"): include for include in ElementTree.parse(path).getroot().iter("include")}
+    learn, two_machines = (ElementTree.parse(path_of(name)).getroot() for name in ("learn", "two_machines"))
+    declared = {item.get("name") for item in learn.findall("arg") if not item.get("value")}
+    includes = {include.get("file"): include for include in two_machines.iter("include")}
     include = includes["$(find embodied_active_learning)/launch/learn.launch"]
     passed = {item.get("name") for item in include.findall("arg")}
     at_robot = includes["$(find embodied_active_learning)/launch/arm.launch"]
@@ -161,10 +177,8 @@ def test_two_machines_pass_all_arguments_of_learn_launch():
 
 
 @pytest.mark.parametrize(("paused", "expected"), [("true", "/operator"), ("false", "")])
-def test_paused_planner_waits_for_an_operator(tmp_path, paused, expected):
-    path = next(path for path in LAUNCH if path.stem == "learn")
-    config = ROSLaunchConfig()
-    XmlLoader().load(str(path), config, argv=[f"paused:={paused}", f"session_root:={tmp_path}"], verbose=False)
+def test_paused_planner_waits_for_an_operator(commands, paused, expected):
+    config = load("learn", f"paused:={paused}")
     assert config.params["/ergodic_planner/paused_by"].value == expected
 
 
@@ -183,70 +197,39 @@ NAMES_AND_PATHS = {
 )
 def test_double_quotes_are_refused(name, argument):
     """Also beside a name of digits, which roslaunch evaluates as a number."""
-    path = next(path for path in LAUNCH if path.stem == name)
     arguments = {"session": "7", "profile": "7", argument: 'a"b'}
     with pytest.raises(XmlParseException, match="double quotes are not allowed"):
-        XmlLoader().load(
-            str(path), ROSLaunchConfig(), argv=[f"{key}:={value}" for key, value in arguments.items()], verbose=False
-        )
+        load(name, *(f"{key}:={value}" for key, value in arguments.items()))
 
 
 def test_visits_without_an_arm_are_refused():
-    path = next(path for path in LAUNCH if path.stem == "identify")
     with pytest.raises(XmlParseException, match="visit:=true needs the arm: not possible with replay"):
-        XmlLoader().load(str(path), ROSLaunchConfig(), argv=["replay:=a", "visit:=true"], verbose=False)
-
-
-@pytest.fixture
-def commands(monkeypatch):
-    """The commands of parameters, which are recorded instead of run."""
-    recorded = []
-
-    def param_value(loader, verbose, name, kind, value, textfile, binfile, command):
-        recorded.append(command or "")
-        return read(loader, verbose, name, kind, value, textfile, binfile, None) if command is None else {}
-
-    read = XmlLoader.param_value
-    monkeypatch.setattr(XmlLoader, "param_value", param_value)
-    return recorded
+        load("identify", "replay:=a", "visit:=true")
 
 
 @pytest.mark.parametrize("replay", ["unset", "007"])
 def test_identify_launch_keeps_names_of_digits(commands, replay):
-    config = ROSLaunchConfig()
-    path = next(path for path in LAUNCH if path.stem == "identify")
-    arguments = ["sessions:=20261102", "name:=0815", f"replay:={replay}"]
-    XmlLoader().load(str(path), config, argv=arguments, verbose=False)
+    config = load("identify", "sessions:=20261102", "name:=0815", f"replay:={replay}")
     values = [config.params[f"/identifier/{name}"].value for name in ("sessions", "name", "replay")]
     assert values == ["20261102", "0815", replay]
     assert sum('--search "20261102"' in command for command in commands) == 1
 
 
-def test_identifier_takes_unset_arguments_as_empty():
-    program = f"""
-import runpy, rospy
-rospy.get_param = {{"~name": "0815", "~replay": "unset"}}.get
-text_parameter = runpy.run_path({str(LAUNCH[0].parents[1] / "nodes" / "identifier")!r})["text_parameter"]
-print([text_parameter(name) for name in ("name", "replay", "sessions")])
-"""
-    ended = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
-    assert ended.stdout.strip() == "['0815', '', '']"
+def test_identifier_takes_unset_arguments_as_empty(monkeypatch):
+    monkeypatch.setattr(rospy, "get_param", {"~name": "0815", "~replay": "unset"}.get)
+    text_parameter = runpy.run_path(str(ROOT / "nodes" / "identifier"))["text_parameter"]
+    assert [text_parameter(name) for name in ("name", "replay", "sessions")] == ["0815", "", ""]
 
 
 @pytest.mark.parametrize("bringup", ["all", "nodes"])
 def test_velocity_service_starts_its_adapter_and_no_driver(bringup):
-    config = ROSLaunchConfig()
-    path = next(path for path in LAUNCH if path.stem == "arm")
-    XmlLoader().load(str(path), config, argv=["robot:=velocity_service", f"bringup:={bringup}"], verbose=False)
+    config = load("arm", "robot:=velocity_service", f"bringup:={bringup}")
     assert {node.name for node in config.nodes} == {"velocity_service_arm", "camera_pipeline"}
 
 
 def test_invalid_number_of_trainers_is_reported_by_the_resolver(tmp_path, capfd):
-    path = next(path for path in LAUNCH if path.stem == "learn")
     with pytest.raises(XmlParseException):
-        XmlLoader().load(
-            str(path), ROSLaunchConfig(), argv=["trainers:=two", f"session_root:={tmp_path}"], verbose=False
-        )
+        load("learn", "trainers:=two", f"session_root:={tmp_path}")
     assert "training/trainers is 'two': expected a whole number" in capfd.readouterr().err
 
 
@@ -254,8 +237,7 @@ def test_invalid_number_of_trainers_is_reported_by_the_resolver(tmp_path, capfd)
     ("explorer", "updates"), [("ergodic", ""), ("mine.spiral:SpiralExplorer", ""), ("uniform_ergodic", "0")]
 )
 def test_identify_launch_trains_for_own_explorers(commands, explorer, updates):
-    path = next(path for path in LAUNCH if path.stem == "identify")
-    XmlLoader().load(str(path), ROSLaunchConfig(), argv=["sessions:=a", f"explorer:={explorer}"], verbose=False)
+    load("identify", "sessions:=a", f"explorer:={explorer}")
     resolve = next(command for command in commands if "resolve_config" in command)
     assert f'--set "training/updates_per_observation={updates}"' in resolve
 
@@ -274,10 +256,8 @@ MACHINES = {"robot_host": "10.77.0.1", "server_host": "10.77.0.2", "robot_env": 
     ],
 )
 def test_missing_argument_is_reported(capfd, name, arguments, message):
-    path = next(path for path in LAUNCH if path.stem == name)
-    words = [f"{key}:={value}" for key, value in arguments.items()]
     with pytest.raises(XmlParseException):
-        XmlLoader().load(str(path), ROSLaunchConfig(), argv=words, verbose=False)
+        load(name, *(f"{key}:={value}" for key, value in arguments.items()))
     assert f"nothing was started: {message}" in capfd.readouterr().err
 
 
@@ -290,7 +270,6 @@ def test_missing_argument_is_reported(capfd, name, arguments, message):
     ],
 )
 def test_robot_and_bringup_without_an_arm_are_rejected(capfd, name, argument, message):
-    path = next(path for path in LAUNCH if path.stem == name)
     with pytest.raises(XmlParseException):
-        XmlLoader().load(str(path), ROSLaunchConfig(), argv=[argument], verbose=False)
+        load(name, argument)
     assert f"nothing was started: {message}" in capfd.readouterr().err
