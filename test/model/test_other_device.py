@@ -20,8 +20,7 @@ CASES = ("support/other_device_cases.py", "model/test_learner.py", "pipeline/tes
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
 def test_training_on_fake_device(tmp_path):
-    library = tmp_path / "other_device.so"
-    other_device.build(library)
+    library = other_device.build(TESTS.parent / "build")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), other_device.LIBRARY: str(library)}
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "other_device", "--basetemp"]
     subprocess.run([*command, tmp_path / "cases", *(TESTS / cases for cases in CASES)], check=True, env=environment)
