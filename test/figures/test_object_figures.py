@@ -101,7 +101,7 @@ def titled(figure, text):
     return [axes for axes in figure.axes if any(axes.get_title(loc).startswith(text) for loc in ("left", "center"))]
 
 
-@pytest.mark.parametrize(("count", "objects"), [(1, ()), (3, OBJECTS), (8, OBJECTS)])
+@pytest.mark.parametrize(("count", "objects"), [(1, ()), (3, OBJECTS)])
 def test_contact_sheet_has_row_per_fingerprint(tmp_path, recwarn, count, objects):
     kinds = [OBJECT] * (count - 1) + [BLANK]
     found = make_set([make_fingerprint(name=f"{kind}-{index}", kind=kind) for index, kind in enumerate(kinds)])
@@ -142,7 +142,7 @@ def test_beliefs_of_few_and_many_fingerprints(tmp_path, recwarn, count, with_vie
     assert_picture(draw_beliefs(tmp_path / "new" / "beliefs.png", WORKSPACE, panels, view, TRUTH), recwarn)
 
 
-@pytest.mark.parametrize("count", [1, 2, 21])
+@pytest.mark.parametrize("count", [1, 2, 9])
 def test_belief_maps_do_not_overlap(count):
     reason = "only 4 views, 5 required"
     decisions = [make_decision(0.62, 0.14, instance=0, reason=reason)]
