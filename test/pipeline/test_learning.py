@@ -18,9 +18,9 @@ from embodied_active_learning.pipeline import learning, stopping
 from embodied_active_learning.pipeline.learning import learn, ros_seconds
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint
-from embodied_active_learning.session.description import write_description
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.stored_config import write_stored_config
 from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.sweep.run_records import load_record
 from tiny import STEPS, TINY
@@ -177,7 +177,7 @@ def test_fingerprinting_a_real_session_needs_stored_views(fingerprinted, tmp_pat
     session, _ = fingerprinted
     path = tmp_path / "real"
     shutil.copytree(session.paths.path, path)
-    write_description(path / "config.yaml", replace(session.config, arm=replace(session.config.arm, robot=robot)))
+    write_stored_config(path / "config.yaml", replace(session.config, arm=replace(session.config.arm, robot=robot)))
     before = load_fingerprints(path).created
     with pytest.raises(ConfigError, match=f"arm/robot of session real is {robot}.*use from_stored=True"):
         eal.fingerprint(path)

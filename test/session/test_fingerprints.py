@@ -25,9 +25,9 @@ from embodied_active_learning.errors import CorruptFileError, SessionError
 from embodied_active_learning.objects.fingerprint import ARRAYS, BLANK
 from embodied_active_learning.session import fingerprints, lock
 from embodied_active_learning.session.checksummed_yaml import write_checksummed
-from embodied_active_learning.session.description import write_description
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints, save_fingerprints
 from embodied_active_learning.session.session import Session
+from embodied_active_learning.session.stored_config import write_stored_config
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 from sample_fingerprints import CONFIG, make_fingerprint, make_set
 
@@ -43,7 +43,7 @@ def session(tmp_path):
 def make_session(folder, config=CONFIG):
     path = folder / "a"
     path.mkdir()
-    write_description(path / "config.yaml", config)
+    write_stored_config(path / "config.yaml", config)
     return path
 
 
@@ -404,7 +404,7 @@ def test_invalid_fingerprint_with_valid_checksum_is_rejected(session, tensors, f
 
 def test_set_of_other_model_is_rejected(session):
     save_fingerprints(session, make_set())
-    write_description(session / "config.yaml", replace(CONFIG, model=replace(CONFIG.model, latent_size=5)))
+    write_stored_config(session / "config.yaml", replace(CONFIG, model=replace(CONFIG.model, latent_size=5)))
     with pytest.raises(CorruptFileError, match=r"set.yaml: object-1: made with 2 latents but"):
         load_fingerprints(session)
 

@@ -14,7 +14,7 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.identification import CHUNK, Identification
 from embodied_active_learning.objects.unknown import UnknownObject
-from embodied_active_learning.session.fingerprinted import searched_sessions
+from embodied_active_learning.session.fingerprint_sets import searched_sessions
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import (
     identification_folder,

@@ -33,10 +33,10 @@ from embodied_active_learning.session.atomic import (
     write_bytes,
 )
 from embodied_active_learning.session.checksummed_yaml import read_checksummed, write_checksummed
-from embodied_active_learning.session.description import changed_keys, read_description
-from embodied_active_learning.session.fingerprinted import generations, newest_generation
+from embodied_active_learning.session.fingerprint_sets import generations, newest_generation
 from embodied_active_learning.session.lock import claim
 from embodied_active_learning.session.paths import LOCK_FILE, SessionPaths, stays_inside
+from embodied_active_learning.session.stored_config import changed_keys, read_stored_config
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
 FORMAT = "embodied_active_learning/fingerprints"
@@ -113,7 +113,7 @@ def load_fingerprints(session_path: Path) -> FingerprintSet:
         CorruptFileError: It is damaged, or a link out of the session; names the file and the field.
     """
     session_path = Path(session_path)
-    config = read_description(SessionPaths(session_path).config)
+    config = read_stored_config(SessionPaths(session_path).config)
     while True:
         generation = newest_generation(session_path)
         try:
@@ -130,7 +130,7 @@ def has_fingerprints(session_path: Path) -> bool:
 
 
 def _check_belongs(session_path: Path, found: FingerprintSet) -> None:
-    changes = changed_keys(read_description(SessionPaths(session_path).config), found.config)
+    changes = changed_keys(read_stored_config(SessionPaths(session_path).config), found.config)
     if changes:
         raise SessionError(
             f"fingerprints do not belong to session {session_path}: {'; '.join(changes)}; collect "

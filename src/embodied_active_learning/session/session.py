@@ -13,12 +13,6 @@ from embodied_active_learning.errors import SessionError
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.session import lock
 from embodied_active_learning.session.atomic import is_leftover, make_folder, remove_leftovers
-from embodied_active_learning.session.description import (
-    changed_keys,
-    is_description,
-    read_description,
-    write_description,
-)
 from embodied_active_learning.session.disk import check_space, folder_size
 from embodied_active_learning.session.observations import ObservationStore
 from embodied_active_learning.session.paths import (
@@ -28,6 +22,12 @@ from embodied_active_learning.session.paths import (
     SessionPaths,
     check_not_link,
     stays_inside,
+)
+from embodied_active_learning.session.stored_config import (
+    changed_keys,
+    is_stored_config,
+    read_stored_config,
+    write_stored_config,
 )
 from embodied_active_learning.session.summary import reopen_summary
 from embodied_active_learning.session.tables import COLUMNS, Table, read_table
@@ -63,7 +63,7 @@ class Session:
             _check_folder(path, config)  # again, now that no other process can change it
             remove_leftovers(path)
             reopen_summary(path / SUMMARY_FILE, config)
-            write_description(path / CONFIG_FILE, config)
+            write_stored_config(path / CONFIG_FILE, config)
         except BaseException:
             held.close()
             raise
@@ -78,7 +78,7 @@ class Session:
             SessionError: A part of it is a link out of the folder.
         """
         SessionPaths(path).check_links()
-        return cls(Path(path), read_description(Path(path) / CONFIG_FILE))
+        return cls(Path(path), read_stored_config(Path(path) / CONFIG_FILE))
 
     @property
     def name(self) -> str:
@@ -176,7 +176,7 @@ def check_session(config: Config) -> Path:
 
 def list_sessions(root: Path) -> List[Path]:
     """Return the session folders below root, sorted by name."""
-    return sorted(path.parent for path in Path(root).glob(f"*/{CONFIG_FILE}") if is_description(path))
+    return sorted(path.parent for path in Path(root).glob(f"*/{CONFIG_FILE}") if is_stored_config(path))
 
 
 def known_sessions(root: Path) -> str:
@@ -196,7 +196,7 @@ def _check_existing(path: Path, config: Config) -> None:
     if not (path / CONFIG_FILE).is_file():
         raise SessionError(f"{path} exists but is not a session: choose another session/name")
     SessionPaths(path).check_links()
-    stored = read_description(path / CONFIG_FILE)
+    stored = read_stored_config(path / CONFIG_FILE)
     if not config.session.resume:
         raise SessionError(
             f"session {path} exists: choose another session/name (session:=), or continue it with session/resume "

@@ -20,7 +20,7 @@ _READER = FileReader(CorruptFileError, "restore it, or choose another session")
 
 
 @dataclass(frozen=True)
-class _Description:
+class _StoredConfig:
     """The fields of the file."""
 
     format: str
@@ -30,20 +30,20 @@ class _Description:
     config: Any
 
 
-def write_description(path: Path, config: Config) -> None:
+def write_stored_config(path: Path, config: Config) -> None:
     """Write the configuration of a run atomically."""
     written = time.strftime("%Y-%m-%d %H:%M:%S %z")
-    write_checksummed(path, to_plain(_Description(FORMAT, CONFIG_VERSION, __version__, written, to_plain(config))))
+    write_checksummed(path, to_plain(_StoredConfig(FORMAT, CONFIG_VERSION, __version__, written, to_plain(config))))
 
 
-def read_description(path: Path) -> Config:
+def read_stored_config(path: Path) -> Config:
     """Read the configuration of a run.
 
     Raises:
         CorruptFileError: The file is damaged or of another version; names the file and the field.
     """
     content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
-    found = build(_Description, content, path, CorruptFileError, _READER.remedy)
+    found = build(_StoredConfig, content, path, CorruptFileError, _READER.remedy)
     try:
         return Config.from_dict(found.config)
     except ConfigError as error:
@@ -53,10 +53,10 @@ def read_description(path: Path) -> Config:
         ) from error
 
 
-def is_description(path: Path) -> bool:
-    """Return whether a file is a readable description of a session."""
+def is_stored_config(path: Path) -> bool:
+    """Return whether a file is a readable configuration of a session."""
     try:
-        read_description(path)
+        read_stored_config(path)
     except CorruptFileError:
         return False
     return True
