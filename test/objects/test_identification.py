@@ -400,7 +400,7 @@ def same(one, other):
 
 
 def test_decisions_are_deterministic():
-    again = identify(stream(), [with_fingerprints(*map(replace, LEARNED.fingerprints))])  # learned anew
+    again = identify(stream(), [with_fingerprints(*map(replace, LEARNED.fingerprints))])  # learned again
     assert len(again) == len(decide()) == 3
     assert all(same(*pair) for pair in zip(again, decide()))
 

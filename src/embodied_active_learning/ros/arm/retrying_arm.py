@@ -50,7 +50,7 @@ class RetryingArm:
     """Executes commands and takes images; holds the arm still while something fails.
 
     `go_to` repeats its command until the arm arrives. `execute` does not: after a failure it holds the arm still, and
-    the caller plans anew from where the arm is. Up to arm/retries failures in a row are tolerated (see RetryPolicy).
+    the caller plans again from where the arm is. Up to arm/retries failures in a row are tolerated (see RetryPolicy).
     Stale images, a stopped arm, another commander and a missing response are waited for. A stopped arm is never
     recovered from here. A simulated arm that has restarted returns to its last state before the next command.
 
