@@ -108,9 +108,7 @@ class VelocityServiceTest(unittest.TestCase):
         thread, answers = self.start_moving()
         self.switch("hang", True)
         thread.join(TIMEOUT)
-        # On a busy computer the reason is the next one already: the controller is not started while the arm moves.
-        reasons = "no response from /klerg_cmd: none within 0.4 s|the velocity controller is started once"
-        self.assertRegex(answers[0].message, reasons)
+        self.assertIn("no response from /klerg_cmd: none within 0.4 s", answers[0].message)
         until(lambda: "/klerg_cmd" in self.recover().message)  # once the arm is known to be at rest
         self.switch("hang", False)
         self.assertFalse(self.move(0.01, 0.0, 0.0, 0.1).success)

@@ -131,6 +131,15 @@ def test_controller_is_restarted_after_lost_service(lab):
     assert not lab.driver.why_not_ready()
 
 
+def test_reason_of_lost_service_is_kept_until_rest(lab):
+    lab.supervisor.check()
+    with lab.driver.readiness() as readiness:
+        readiness.set_unprepared("no response from /klerg_cmd", retry=True)
+    lab.moves(0.02)
+    lab.supervisor.check()
+    assert lab.driver.why_not_ready() == "no response from /klerg_cmd"
+
+
 def test_start_that_robot_rejects_is_not_retried(lab):
     lab.start_error = RobotError("the robot does not follow")
     lab.supervisor.check()

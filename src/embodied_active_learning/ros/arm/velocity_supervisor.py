@@ -66,9 +66,13 @@ class VelocitySupervisor:
                 raise ArmNotReadyError(self._driver.why_not_ready())
 
     def _try_start(self) -> None:
+        if not self._driver.is_at_rest():
+            with self._driver.readiness() as readiness:
+                if not readiness.preparation_error:  # the reason why it stopped is more useful
+                    wait = "the velocity controller is started once the arm is at rest: stop what moves it"
+                    readiness.set_unprepared(wait, retry=True)
+            return
         try:
-            if not self._driver.is_at_rest():
-                raise ServiceError("the velocity controller is started once the arm is at rest: stop what moves it")
             self._start()
         except (RobotError, ServiceError) as error:
             with self._driver.readiness() as readiness:
