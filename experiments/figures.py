@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Draw the figures and tables of docs/results.md from the committed CSV files in experiments/results/.
+"""Draw the figures and tables of docs/results.md and docs/identification.md from the CSV files in experiments/results/.
 
     source setup.bash && python3 experiments/figures.py
 
-Figures are written to docs/images/results/ as PNG and PDF; the tables replace the marked blocks of docs/results.md.
+Figures are written to docs/images/results/ as PNG and PDF; the tables replace the marked blocks of the pages.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 from typing import Dict, List
+
+from identification_figures import draw_identification
 
 from embodied_active_learning.evaluation.coverage import PLANS_WHOLE
 from embodied_active_learning.evaluation.result_tables import (
@@ -58,6 +60,7 @@ def main() -> None:
     for draw in (coverage, ergodicity, table1, pac_bayes, ablation_models):
         if (RESULTS / draw.__name__).is_dir():
             draw()
+    draw_identification()
     for draw_runs in (learning_metrics, ablations, curated_objects):
         sweep = draw_runs.__name__
         records = records_of(sweep)

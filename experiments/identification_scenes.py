@@ -16,7 +16,14 @@ import numpy as np
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.evaluation.result_tables import binomial_interval
+from embodied_active_learning.evaluation.identification_tables import (
+    NO_OBJECT,
+    OTHER_TABLE,
+    group_by,
+    of_objects,
+    outcome_table,
+)
+from embodied_active_learning.evaluation.result_tables import Rows
 from embodied_active_learning.objects.decision import UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.scoring import SAME_PLACE, nearest
@@ -29,13 +36,8 @@ from embodied_active_learning.simulation.world import World, build_world
 from embodied_active_learning.simulation.world_settings import Disturbances, GeneratedTexture
 
 LEARNED_TABLE, CLOSE_OBJECTS, ALL = "learned table", "9 cm apart", "all"
-OTHER_TABLE = ("other table", ALL)
-"""Conditions with a table that no session learned."""
 OBJECTS, UNKNOWN_OBJECTS, SPACING, CLOSE = 2, 2, 0.12, 0.09
 EXPOSURE, SPEED = 0.02, 0.15  # s, m/s: a blur of 3 mm, or 3.4 px
-NO_OBJECT = "?"
-"""Kind in the tables of a fingerprint at whose centre no object stands."""
-_RESAMPLES = 2000
 _RESERVED_FROM = 500  # number of the first reserved procedural object
 
 
@@ -201,69 +203,14 @@ def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[st
     )
 
 
-def report(rows: Sequence[Dict[str, str]]) -> None:
-    """Print hits, false claims and undecided shares with intervals over sessions, and location errors.
-
-    In conditions with a learned table, an object counts as present for the fingerprints of the session that learned
-    that table. Several fingerprints of one kind and session count once where the kind is present, because only the most
-    similar one is found at a place; claims where their object does not stand are counted for each. Fingerprints of no
-    object and blanks have lines of their own.
-    """
-    columns = ("condition", "rule", "hits", "undecided, present", "wrong places, present", "false claims, absent",
-               "undecided, absent", "error [cm]")  # fmt: skip
-    print(f"\n| {' | '.join(columns)} |\n{'| --- ' * len(columns)}|")
-    for rule in dict.fromkeys(row["rule"] for row in rows):
-        of_rule = [row for row in rows if row["rule"] == rule]
-        objects = [row for row in of_rule if row["kind"] not in (BLANK, NO_OBJECT)]
-        for condition in dict.fromkeys(row["condition"] for row in objects):
-            _report_line(condition, rule, [row for row in objects if row["condition"] == condition])
-        _report_line("all rows above", rule, objects)
-        _report_line("fingerprints of no object", rule, [row for row in of_rule if row["kind"] == NO_OBJECT])
-        _report_line("blanks", rule, [row for row in of_rule if row["kind"] == BLANK])
-
-
-def _report_line(condition: str, rule: str, rows: Sequence[Dict[str, str]]) -> None:
-    there = _one_of_a_kind([row for row in rows if row["present"] == "1" and _is_fair(row)])
-    absent = [row for row in rows if row["present"] == "0"]
-    errors = [100.0 * float(row["error"]) for row in there if row["hit"] == "1" and row["kind"] != BLANK]
-    of_present = [row for row in rows if row["present"] == "1"]
-    cells = (
-        *(share(there, name) for name in ("hit", "undecided")),
-        *(share(part, "false_claim") for part in (of_present, absent)),
-        share(absent, "undecided"),
-    )
-    if rows:
-        print(f"| {condition} | {rule} | {' | '.join(cells)} | {f'{np.median(errors):.2f}' if errors else '-'} |")
-
-
-def _one_of_a_kind(rows: Sequence[Dict[str, str]]) -> List[Dict[str, str]]:
-    """Return one row of each kind that is present in a scene for a session: a hit if there is one, else undecided."""
-    best: Dict[Tuple[str, ...], Dict[str, str]] = {}
-    for row in rows:
-        key = tuple(row[name] for name in ("condition", "scene", "session", "kind"))
-        if key not in best or (row["hit"], row["undecided"]) > (best[key]["hit"], best[key]["undecided"]):
-            best[key] = row
-    return list(best.values())
-
-
-def _is_fair(row: Dict[str, str]) -> bool:
-    return row["condition"] in OTHER_TABLE or row["own_table"] == "1" or row["kind"] == BLANK
-
-
-def share(rows: Sequence[Dict[str, str]], field: str) -> str:
-    """Return a count with the 95 % interval of its share.
-
-    The interval is a bootstrap over sessions; where that has no width, because the share is the same in all sessions
-    or there is a single session, it is the exact one of independent rows.
-    """
-    if not rows:
-        return "-"
-    sessions = sorted({row["session"] for row in rows})
-    values = [[int(row[field]) for row in rows if row["session"] == name] for name in sessions]
-    counts = np.array([[sum(part), len(part)] for part in values])
-    hits, tests = counts.sum(axis=0)
-    drawn = counts[np.random.default_rng(0).integers(len(sessions), size=(_RESAMPLES, len(sessions)))].sum(axis=1)
-    low, high = np.quantile(drawn[:, 0] / drawn[:, 1], (0.025, 0.975))
-    if low == high:
-        low, high = binomial_interval(int(hits), int(tests))
-    return f"{hits} / {tests} ({100 * low:.0f}-{100 * high:.0f} %)"
+def report(rows: Rows) -> None:
+    """Print a table of each rule: every condition, all of them, fingerprints of no object, and blanks."""
+    for rule, of_rule in group_by(rows, "rule").items():
+        objects = of_objects(of_rule)
+        groups = {
+            **group_by(objects, "condition"),
+            "all rows above": objects,
+            "fingerprints of no object": [row for row in of_rule if row["kind"] == NO_OBJECT],
+            "blanks": [row for row in of_rule if row["kind"] == BLANK],
+        }
+        print("", f"rule: {rule}", "", *outcome_table("condition", groups), sep="\n")
