@@ -310,6 +310,10 @@ class Config:
                 f"simulation/start {start} is outside the workspace: move it, or enlarge the workspace",
             ),
             (
+                self.arm.robot == SIMULATED and self.camera.latency > 0.0,
+                f"camera/latency is {self.camera.latency:g} s, but the simulated camera has none: set it to 0",
+            ),
+            (
                 self.exploration.step_duration > self.arm.max_duration,
                 "exploration/step_duration is longer than arm/max_duration: the arm would reject every command",
             ),
@@ -349,9 +353,18 @@ class Config:
         )
 
     @classmethod
-    def from_dict(cls, values: Dict[str, Any], subject: Any = "") -> Config:
-        """Build a configuration from sections of keys. Raises ConfigError naming subject, key and legal values."""
-        return build(cls, values, subject)
+    def from_dict(cls, values: Dict[str, Any], subject: Any = "", stored: bool = False) -> Config:
+        """Build a configuration from sections of keys.
+
+        Args:
+            values: Sections of keys.
+            subject: Origin of the values for messages, usually a path.
+            stored: The values are of an earlier run, whose explorer and the like need not be registered now.
+
+        Raises:
+            ConfigError: Names subject, key and legal values.
+        """
+        return build(cls, values, subject, stored=stored)
 
     def to_dict(self) -> Dict[str, Any]:
         """Return sections of keys as plain data; tuples become lists."""

@@ -35,6 +35,7 @@ from typing import Any, Collection, Dict, Iterator, Mapping, Tuple, Type, TypeVa
 
 from embodied_active_learning.errors import ConfigError, EmbodiedActiveLearningError
 from embodied_active_learning.files import FileReader, short_repr
+from embodied_active_learning.registry import Registry
 
 _MAX_KEY_LENGTH = 80  # characters of an unknown key in a message
 _EXPONENT = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]{1,3}")  # PyYAML reads 1e-4 as text
@@ -81,6 +82,7 @@ def build(
     subject: Any = "",
     error: Type[EmbodiedActiveLearningError] = ConfigError,
     remedy: str = "",
+    stored: bool = False,
 ) -> _Class:
     """Build a checked dataclass from plain data.
 
@@ -90,11 +92,12 @@ def build(
         subject: Origin of the values for messages, usually a path.
         error: Exception class to raise.
         remedy: End of every message.
+        stored: The values are of an earlier run, so that names in a registry need not be registered now.
 
     Raises:
         error: Unknown or missing key, wrong type, value out of range, or a ValueError of the dataclass itself.
     """
-    return _Builder(subject, error, remedy).build(cls, values, "")
+    return _Builder(subject, error, remedy, stored).build(cls, values, "")
 
 
 def load(cls: Type[_Class], path: Path, reader: FileReader) -> _Class:
@@ -147,6 +150,7 @@ class _Builder:
     subject: Any
     error: Type[EmbodiedActiveLearningError]
     remedy: str
+    stored: bool = False
 
     def build(self, cls: Type[_Class], values: Any, place: str) -> _Class:
         checked = self.check(cls, values, place, complete=True)
@@ -219,7 +223,7 @@ class _Builder:
         if not isinstance(value, str) or (not value and item.default is dataclasses.MISSING):
             raise self._wrong(place, value, "a text")
         choices = legal["choices"]
-        if choices and value not in choices:
+        if choices and value not in choices and not (self.stored and isinstance(choices, Registry)):
             hint = suggestion(value, choices)
             ending = f"; {hint}" if hint.startswith("did") else ""
             raise self._wrong(place, value, f"one of {', '.join(choices)}{ending}")

@@ -41,6 +41,7 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
         ({"planner": {"horizon": 0}}, "planner/horizon is 0: expected a whole number from 2 to 200"),
         ({"planner": {"velocity_limits": [1.0]}}, "planner/velocity_limits has 1 numbers: expected 3"),
         ({"planner": {"normalise_kernels": 1}}, "planner/normalise_kernels is 1: expected true or false"),
+        ({"camera": {"latency": 0.05}}, "camera/latency is 0.05 s, but the simulated camera has none"),
         ({"simulation": {"start": [0.0, 0.0, 0.0]}}, "simulation/start [0.0, 0.0, 0.0] is outside the workspace"),
         ({"exploration": {"steps": 20}}, "exploration/steps is 20, fewer than training/first_update_at (64)"),
         ({"training": {"batch_size": 100}}, "training/batch_size is larger than training/first_update_at"),

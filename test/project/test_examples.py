@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import embodied_active_learning as eal
+from embodied_active_learning.errors import ConfigError
 from tiny import TINY
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -46,7 +47,7 @@ def test_read_a_session_prints_its_content(capsys, tmp_path):
     assert "latents of the last image" in output
 
 
-def test_own_explorer_and_measure_are_used():
+def test_own_explorer_is_used_and_its_session_opens_without_it():
     try:
         load("own_explorer")
         session = eal.learn(eal.load_config("", explorer="lawnmower", measure="variance"))
@@ -55,6 +56,9 @@ def test_own_explorer_and_measure_are_used():
     finally:
         eal.EXPLORERS.unregister("lawnmower")
         eal.INFORMATION_MEASURES.unregister("variance")
+    assert eal.load_session(session.paths.path).config.exploration.explorer == "lawnmower"
+    with pytest.raises(ConfigError, match="exploration/explorer is 'lawnmower': expected one of"):
+        eal.load_config("", explorer="lawnmower")
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)

@@ -80,7 +80,7 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
     found = load_session(session)
     values = found.config.to_dict()
     values["fingerprint"].update(settings_)
-    config = Config.from_dict(values)
+    config = Config.from_dict(values, stored=True)
     if not from_stored and config.arm.robot != SIMULATED:
         raise ConfigError(
             f"arm/robot of session {found.name} is {config.arm.robot}, whose views cannot be taken in the simulation: "
@@ -122,7 +122,7 @@ def identify(
     searched = load_session(images_of)
     values = searched.config.to_dict()
     values["identification"].update(settings_)
-    section = Config.from_dict(values).identification
+    section = Config.from_dict(values, stored=True).identification
     name = name or time.strftime("%Y%m%d-%H%M%S")
     with IdentificationRun(searched.paths.path, sets, name, images, section, overwrite, must_be_stored=True) as run:
         while not run.complete:

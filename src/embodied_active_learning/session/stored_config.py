@@ -45,7 +45,7 @@ def read_stored_config(path: Path) -> Config:
     content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
     found = build(_StoredConfig, content, path, CorruptFileError, _READER.remedy)
     try:
-        return Config.from_dict(found.config)
+        return Config.from_dict(found.config, stored=True)
     except ConfigError as error:
         raise CorruptFileError(
             f"{path}: {error}; the session was written by embodied_active_learning {found.package_version}: open it "

@@ -166,7 +166,7 @@ def load_record(folder: Path) -> Record:
     content = read_checksummed(path, _READER, FORMAT, CONFIG_VERSION)
     found = build(_RecordFile, content, path, CorruptFileError, _READER.remedy)
     try:
-        config = Config.from_dict(found.config)
+        config = Config.from_dict(found.config, stored=True)
     except ConfigError as error:
         raise CorruptFileError(f"{path}: {error}; {_READER.remedy}") from error
     return Record(
