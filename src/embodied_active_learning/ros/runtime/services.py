@@ -22,6 +22,8 @@ TRANSPORT_ERRORS = (rospy.ServiceException, rospy.ROSException, TransportExcepti
 """Exceptions of a call whose server or master is gone; rospy does not wrap those of the socket and of XML-RPC."""
 HANDLER_FAILED = "responded with an error"
 """rospy's message for an exception in the server's handler."""
+_OTHER_VERSION = "md5sums do not match"
+"""rospy's message for a server whose service has another definition."""
 _REJECTION_PERIOD = 60.0  # s of wall time: a client that retries may get the same response twice a second for hours
 _MASTER_PERIOD = 0.5  # s of wall time between two calls of a master that does not respond
 
@@ -38,6 +40,7 @@ class RetryingService:
         self._proxy: Any = None
         self._lock = threading.Lock()
         self._closed = False
+        self._last_error = ""
         rospy.on_shutdown(self._close)
 
     def call(self, request: Any) -> Any:
@@ -45,10 +48,13 @@ class RetryingService:
 
         Raises:
             ShutdownRequestedError: the node was shut down meanwhile.
-            ServiceError: the server's handler raised an exception.
+            ServiceError: the server's handler raised an exception, or the server is of another package version.
         """
-        with log_service_wait(self._name), self._lock:
+        with log_wait(self._describe_wait), self._lock:
             return self._call(request)
+
+    def _describe_wait(self) -> str:
+        return f"a response of {self._name}{f' ({self._last_error})' if self._last_error else ''}"
 
     def _call(self, request: Any) -> Any:
         while not (self._closed or rospy.is_shutdown()):
@@ -56,11 +62,17 @@ class RetryingService:
                 if self._proxy is None:
                     rospy.wait_for_service(self._name, timeout=1.0)
                     self._proxy = rospy.ServiceProxy(self._name, self._service_class, persistent=True)
-                return self._proxy(request)
+                response = self._proxy(request)
+                self._last_error = ""
+                return response
             except TRANSPORT_ERRORS as error:
+                self._last_error = str(error)
                 if HANDLER_FAILED in str(error):
                     raise ServiceError(f"{self._name} failed: {error}; see its node's log") from error
-                rospy.logdebug("%s: %s", self._name, error)
+                if _OTHER_VERSION in str(error):
+                    raise ServiceError(
+                        f"{self._name} has another definition: {error}; install one version of the package everywhere"
+                    ) from error
                 self._disconnect()
                 time.sleep(0.1)
         raise ShutdownRequestedError
