@@ -2,8 +2,8 @@
 
 import pytest
 
-from embodied_active_learning.errors import ConfigError, SessionError
-from embodied_active_learning.sweep.spec import differences, load_sweep
+from embodied_active_learning.errors import ConfigError, SessionError, WorldError
+from embodied_active_learning.sweep.spec import check_worlds, differences, load_sweep
 from launching import ROOT
 
 SPEC = """
@@ -31,7 +31,7 @@ def test_runs_are_all_combinations_with_first_seed_first(tmp_path):
 
 
 def test_run_combines_profile_and_overrides(tmp_path):
-    config = load(tmp_path, SPEC.replace("worlds: [bottom", "profile: paper\nworlds: [bottom")).runs[-1].config()
+    config = load(tmp_path, SPEC.replace("worlds: [bottom", "profile: paper\nworlds: [bottom")).runs[-1].config
     exploration = config.exploration
     assert (exploration.steps, exploration.seed, exploration.explorer) == (300, 7, "random_walk")
     assert exploration.fresh_samples == 100000
@@ -54,8 +54,8 @@ def test_invalid_spec_is_refused(tmp_path, before, after, message):
 
 
 def test_differences_name_changed_settings(tmp_path):
-    stored = load(tmp_path, SPEC).runs[0].config()
-    changed = load(tmp_path, SPEC.replace("steps: 300", "steps: 400, samples: 500")).runs[0].config()
+    stored = load(tmp_path, SPEC).runs[0].config
+    changed = load(tmp_path, SPEC.replace("steps: 300", "steps: 400, samples: 500")).runs[0].config
     assert differences(stored, changed) == [
         "exploration/steps is 400 but was 300",
         "exploration/samples is 500 but was 1000",
@@ -63,33 +63,33 @@ def test_differences_name_changed_settings(tmp_path):
 
 
 def test_differences_ignore_settings_without_influence(tmp_path):
-    stored = load(tmp_path, SPEC).runs[0].config()
+    stored = load(tmp_path, SPEC).runs[0].config
     changes = "steps: 300}, fingerprint: {bandwidth: 0.06}, identification: {candidates: 4}, arm: {retries: 1"
-    assert differences(stored, load(tmp_path, SPEC.replace("steps: 300", changes)).runs[0].config()) == []
+    assert differences(stored, load(tmp_path, SPEC.replace("steps: 300", changes)).runs[0].config) == []
 
 
 def test_differences_include_clustering_of_runs_that_stop_when_stable(tmp_path):
     text = SPEC.replace("steps: 300", "steps: 300, stop: stable")
-    stored = load(tmp_path, text).runs[0].config()
-    changed = load(tmp_path, text.replace("stable", "stable}, fingerprint: {bandwidth: 0.06")).runs[0].config()
+    stored = load(tmp_path, text).runs[0].config
+    changed = load(tmp_path, text.replace("stable", "stable}, fingerprint: {bandwidth: 0.06")).runs[0].config
     assert differences(stored, changed) == ["fingerprint/bandwidth is 0.06 but was 0.045"]
 
 
 def test_differences_include_identification_for_the_active_explorer(tmp_path):
     text = SPEC.replace("steps: 300", "steps: 300, explorer: active")
-    stored = load(tmp_path, text).runs[0].config()
-    changed = load(tmp_path, text.replace("active", "active}, identification: {margin: 0.03")).runs[0].config()
+    stored = load(tmp_path, text).runs[0].config
+    changed = load(tmp_path, text.replace("active", "active}, identification: {margin: 0.03")).runs[0].config
     assert differences(stored, changed) == ["identification/margin is 0.03 but was 0.0225"]
 
 
 def test_differences_ignore_what_depends_on_the_computer(tmp_path):
     run = load(tmp_path, SPEC).runs[0]
-    sections = run.config().to_dict()
+    sections = run.config.to_dict()
     sections["simulation"]["world"] = "/elsewhere/bottom.yaml"
     sections["training"].update(threads=7)
     sections["session"]["name"] = "x"
-    other = type(run.config()).from_dict(sections)
-    assert differences(run.config(), other) == []
+    other = type(run.config).from_dict(sections)
+    assert differences(run.config, other) == []
 
 
 def test_shipped_sweeps_are_valid():
@@ -103,4 +103,9 @@ def test_world_is_relative_to_file_of_sweep(tmp_path):
     world.write_text((ROOT / "worlds" / "right.yaml").read_text(encoding="utf-8"), encoding="utf-8")
     run = load(tmp_path, SPEC.replace("[bottom, right]", "[worlds/my_world.yaml]")).runs[0]
     assert run.name == "ergodic-my-world-seed4"
-    assert run.config().simulation.world == str(world)
+    assert run.config.simulation.world == str(world)
+
+
+def test_unknown_world_is_an_error_that_names_the_run(tmp_path):
+    with pytest.raises(WorldError, match=r"run ergodic-rigth-seed4: .*rigth"):
+        check_worlds(load(tmp_path, SPEC.replace("[bottom, right]", "[bottom, rigth]")))

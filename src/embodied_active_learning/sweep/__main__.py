@@ -24,7 +24,7 @@ from embodied_active_learning.session.disk import free_bytes
 from embodied_active_learning.sweep.jobs import Job
 from embodied_active_learning.sweep.run_records import load_record
 from embodied_active_learning.sweep.runner import CLUSTERS, PROCESSES, make_runs, threads_per_worker
-from embodied_active_learning.sweep.spec import load_sweep
+from embodied_active_learning.sweep.spec import check_worlds, load_sweep
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -97,6 +97,7 @@ class _Pairs(argparse.Action):
 def _jobs(options: argparse.Namespace) -> Tuple[List[Job], Path]:
     """Return the jobs and the sweep's folder of sessions."""
     sweep = load_sweep(options.spec)
+    check_worlds(sweep)
     folder = Path(os.path.abspath(options.root.expanduser())) / sweep.name
     records = options.results or options.spec.parent / "results" / sweep.name
     threads = threads_per_worker(options.workers)
@@ -113,8 +114,7 @@ def _plan(jobs: Sequence[Job], folder: Path, workers: int) -> str:
         lines.append(f"{job.run.name}: {state}")
         if job.complete:
             record = load_record(job.record)
-            if not record.failure:  # the wall time of a failed run is not known
-                rates.append(record.summary.wall_time / max(1, record.summary.steps))
+            rates.append(record.summary.wall_time / max(1, record.summary.steps))
         else:
             left += (1.0 - progress.share) * progress.steps
     time = duration(left * statistics.median(rates) / workers) if rates else "unknown until a run is complete"

@@ -54,7 +54,7 @@ class Job:
     def check(self) -> None:
         """Raise SessionError if the stored run was made with other settings, or cannot be read."""
         stored = self._stored()
-        changes = differences(stored, self.run.config()) if stored else []
+        changes = differences(stored, self.run.config) if stored else []
         if changes:
             place = self.record if self.complete else self.session
             raise SessionError(
@@ -64,7 +64,7 @@ class Job:
 
     def progress(self) -> Progress:
         """Return how far the run is, also while another process makes it."""
-        config = self.run.config()
+        config = self.run.config
         steps = updates = 0
         if self.complete:
             steps, updates = config.exploration.steps, config.update_plan.total
@@ -78,7 +78,7 @@ class Job:
     def bytes_needed(self) -> int:
         """Return the bytes that the rest of the run stores."""
         stored = folder_size(self.session) if self.started else 0
-        return 0 if self.complete else max(0, estimate_bytes(self.run.config()) - stored)
+        return 0 if self.complete else max(0, estimate_bytes(self.run.config) - stored)
 
     def __call__(self) -> str:
         """Make or continue the run and store its record. Return what happened, in one line.

@@ -15,15 +15,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Sequence, Tuple
 
 from embodied_active_learning.config import Config, merge
-from embodied_active_learning.errors import ConfigError
+from embodied_active_learning.errors import ConfigError, WorldError
 from embodied_active_learning.files import FileReader
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.pipeline.resolve import merge_config
 from embodied_active_learning.schema import load, required, setting
+from embodied_active_learning.simulation.world import load_world
 
 _READER = FileReader(ConfigError, "see the sweeps in experiments/", follow=True)
 _NOT_COMPARED: Mapping[str, Tuple[str, ...]] = {
@@ -73,8 +75,9 @@ class SweepRun:
     profile: str
     changes: Mapping[str, Dict[str, Any]]
 
+    @cached_property
     def config(self) -> Config:
-        """Return the run's configuration without a session. Raises ConfigError for invalid keys or values."""
+        """The run's configuration without a session. Raises ConfigError for invalid keys or values."""
         return merge_config(self.profile, self.changes)
 
 
@@ -99,15 +102,21 @@ def load_sweep(path: Path) -> Sweep:
     duplicate = next((name for name in names if names.count(name) > 1), "")
     if duplicate:
         raise ConfigError(f"{path}: two runs are named {duplicate}: give each world and seed once")
-    firsts: Dict[str, SweepRun] = {}
-    for run in ordered:
-        firsts.setdefault(run.variant, run)
-    for run in firsts.values():
+    for run in _first_runs(ordered, lambda run: run.variant):
         try:
-            run.config()
+            _ = run.config
         except ConfigError as error:
             raise ConfigError(f"{path}: run {run.name}: {error}") from error
     return Sweep(check_name(Path(path).stem, "name of the sweep"), ordered)
+
+
+def check_worlds(sweep: Sweep) -> None:
+    """Load each world once. Raises WorldError, which names the first run in the world."""
+    for run in _first_runs(sweep.runs, lambda run: str(run.changes["simulation"]["world"])):
+        try:
+            load_world(run.config.simulation.world, run.config.workspace.box(), run.config.camera)
+        except WorldError as error:
+            raise WorldError(f"run {run.name}: {error}") from error
 
 
 def differences(stored: Config, wanted: Config) -> List[str]:
@@ -128,6 +137,14 @@ def differences(stored: Config, wanted: Config) -> List[str]:
         for key, value in keys.items()
         if value != after[section][key] and not (section in ignored and key in (ignored[section] or keys))
     ]
+
+
+def _first_runs(runs: Sequence[SweepRun], key: Callable[[SweepRun], str]) -> Iterable[SweepRun]:
+    """Return the first run of each key."""
+    firsts: Dict[str, SweepRun] = {}
+    for run in runs:
+        firsts.setdefault(key(run), run)
+    return firsts.values()
 
 
 def _beside(path: Path, world: str) -> str:
