@@ -27,7 +27,7 @@ import torch
 
 import embodied_active_learning as eal
 from embodied_active_learning.config import Config
-from embodied_active_learning.distributed.local import LocalWorkers
+from embodied_active_learning.distributed.local import start_workers
 from embodied_active_learning.distributed.worker import serve_until_end
 from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 from embodied_active_learning.pipeline.learning import BackgroundTraining
@@ -59,7 +59,7 @@ def train(run: TrainingRun, trainers: int) -> None:
     if run.pool is None:
         run.train(lambda report: None, run.stop)
         return
-    with LocalWorkers(trainers - 1, run.pool.address):
+    with start_workers(trainers - 1, run.pool.address):
         run.train(lambda report: None, run.stop)
 
 

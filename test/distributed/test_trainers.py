@@ -2,10 +2,12 @@
 
 import os
 import signal
+import subprocess
 import threading
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +16,12 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.distributed import pool as pool_module
 from embodied_active_learning.distributed.link import LinkError, connect_store
-from embodied_active_learning.distributed.local import LocalWorkers
+from embodied_active_learning.distributed.local import start_workers
 from embodied_active_learning.distributed.messages import ROUND, Header
 from embodied_active_learning.distributed.worker import TrainerWorker, serve
 from embodied_active_learning.objects.stability import Measurement
 from embodied_active_learning.pipeline import stopping
+from embodied_active_learning.pipeline.learning import BackgroundTraining
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.session import Session
 from tiny import STEPS, TINY
@@ -238,10 +241,10 @@ def test_run_of_two_trainers_ends_once_objects_are_stable(tmp_path, monkeypatch)
 
 def test_killed_and_frozen_workers_are_replaced(tmp_path):
     run = TrainingRun(configured(tmp_path, worker_timeout=START))
-    with LocalWorkers(2, run.pool.address) as local, training(run) as output:
+    with start_workers(2, run.pool.address) as local, training(run) as output:
         hand_over(run, range(12))
         run.log_std(np.zeros((1, 3)), 12, START)
-        killed, frozen = local.processes
+        killed, frozen = local
         killed.kill()
         os.kill(frozen.pid, signal.SIGSTOP)
         run.pool._timeout = 0.2
@@ -257,6 +260,38 @@ def test_killed_and_frozen_workers_are_replaced(tmp_path):
     assert (run.observations, run.updates) == (STEPS, UPDATES)
     assert table(run, "rounds")["trainers"].tolist()[0] == 3
     assert table(run, "rounds")["trainers"].tolist()[-1] == 2
+
+
+def test_failed_start_of_a_worker_kills_the_others_and_closes_the_run(tmp_path, monkeypatch):
+    killed, children = [], [SimpleNamespace(wait=lambda: None, kill=lambda: killed.append(1))]
+
+    def start(_command):
+        if not children:
+            raise OSError("no memory")
+        return children.pop()
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    training = BackgroundTraining(configured(tmp_path, trainers=3))
+    with pytest.raises(OSError, match="no memory"), training:
+        raise AssertionError("not reached")
+    assert killed
+    Session.open_for_writing(configured(tmp_path, trainers=3, resume=True)).close()  # not locked
+
+
+def test_workers_dropped_by_a_stop_are_not_logged(tmp_path, caplog):
+    run = TrainingRun(configured(tmp_path, trainers=2, worker_timeout=START))
+    computing, released = threading.Event(), threading.Event()
+
+    def hang(_weights):
+        computing.set()
+        released.wait(TIMEOUT)
+
+    with faulty_worker(run, hang):
+        with training(run):
+            hand_over(run, range(12))
+            assert computing.wait(TIMEOUT)
+        released.set()
+    assert "dropped" not in caplog.text
 
 
 def test_trainers_listen_on_the_given_address_only(tmp_path):

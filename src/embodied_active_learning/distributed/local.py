@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from types import TracebackType
-from typing import List, Optional, Type
+from contextlib import ExitStack, contextmanager
+from typing import Iterator, List
 
 
-class LocalWorkers:
-    """Starts workers for an owner on this computer; leaving the context ends them."""
+@contextmanager
+def start_workers(count: int, owner: str) -> Iterator[List[subprocess.Popen]]:
+    """Start workers for an owner on this computer, and kill them at the end of the block: they have nothing to save.
 
-    def __init__(self, count: int, owner: str) -> None:
-        """Start `count` workers of the owner at "host:port"."""
-        host = owner.rpartition(":")[0]
-        command = [sys.executable, "-m", "embodied_active_learning.distributed.worker", owner, host]
-        self.processes: List[subprocess.Popen] = [subprocess.Popen(command) for _ in range(count)]
+    Args:
+        count: Number of workers.
+        owner: "host:port" of the owner.
 
-    def __enter__(self) -> LocalWorkers:
-        return self
-
-    def __exit__(
-        self, kind: Optional[Type[BaseException]], error: Optional[BaseException], trace: Optional[TracebackType]
-    ) -> None:
-        for process in self.processes:
-            process.kill()  # a worker has nothing to save
-        for process in self.processes:
-            process.wait()
+    Raises:
+        OSError: A process could not be started; those before it are killed.
+    """
+    host = owner.rpartition(":")[0]
+    command = [sys.executable, "-m", "embodied_active_learning.distributed.worker", owner, host]
+    with ExitStack() as running:
+        processes = []
+        for _ in range(count):
+            processes.append(subprocess.Popen(command))
+            running.callback(processes[-1].wait)
+            running.callback(processes[-1].kill)
+        yield processes

@@ -267,8 +267,9 @@ class WorkerPool:
         with self._changed:
             while self._pending() and time.monotonic() < now + self._timeout and not stop.is_set():
                 self._changed.wait(_POLL_PERIOD)
+            late = f"no result {self._timeout:g} s after the trainer's own (training/worker_timeout)"
             for worker in self._pending():
-                self._drop(worker, f"no result {self._timeout:g} s after the trainer's own (training/worker_timeout)")
+                self._drop(worker, "" if stop.is_set() else late)
             finished = [worker for worker in self._busy if worker.result is not None]
             self._busy = []
         for worker in finished:
@@ -279,8 +280,8 @@ class WorkerPool:
         return [worker for worker in self._busy if worker.result is None and not worker.dropped]
 
     def _drop(self, worker: Worker, reason: str) -> None:
-        """Continue without a worker. Call it with the lock held."""
-        if not worker.dropped and not self._closed:
+        """Continue without a worker; log the reason, if any. Call it with the lock held."""
+        if reason and not (worker.dropped or self._closed):
             LOG.warning("trainer worker %d dropped: %s; training continues without it", worker.status.slot, reason)
         worker.dropped = True
         self._ready = [other for other in self._ready if other is not worker]

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from embodied_active_learning.config import SIMULATED, Config
-from embodied_active_learning.distributed.local import LocalWorkers
+from embodied_active_learning.distributed.local import start_workers
 from embodied_active_learning.errors import ConfigError
 from embodied_active_learning.model.build import set_threads
 from embodied_active_learning.model.learner import UpdateReport
@@ -117,13 +117,18 @@ class BackgroundTraining:
         self._error: Optional[Exception] = None
         self._thread = threading.Thread(target=self._train, name="training")
         self._local_workers = local_workers
-        self._workers = ExitStack()
+        self._cleanup = ExitStack()
 
     def __enter__(self) -> BackgroundTraining:
         torch.set_num_threads(self.run.loss.torch_threads)
-        if self.run.pool is not None and self._local_workers:
-            self._workers.enter_context(LocalWorkers(self._config.training.trainers - 1, self.run.pool.address))
-        self._thread.start()
+        with ExitStack() as started:
+            started.callback(torch.set_num_threads, self._torch_threads)
+            started.callback(self.run.close)
+            if self.run.pool is not None and self._local_workers:
+                started.enter_context(start_workers(self._config.training.trainers - 1, self.run.pool.address))
+            self._thread.start()
+            started.callback(self._stop)
+            self._cleanup = started.pop_all()
         return self
 
     def __exit__(
@@ -132,11 +137,7 @@ class BackgroundTraining:
         error: Optional[BaseException],
         trace: Optional[TracebackType],
     ) -> None:
-        self.run.stop()
-        self._thread.join()
-        self._workers.close()
-        self.run.close()
-        torch.set_num_threads(self._torch_threads)
+        self._cleanup.close()
         if error is None:
             self.check()
 
@@ -157,6 +158,10 @@ class BackgroundTraining:
             return None if log_std is None else np.asarray(log_std, dtype=np.float64), ready
 
         return await_log_std(lambda: self.run.config, observations, query)
+
+    def _stop(self) -> None:
+        self.run.stop()
+        self._thread.join()
 
     def _train(self) -> None:
         try:
