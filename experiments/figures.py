@@ -18,6 +18,7 @@ from embodied_active_learning.evaluation.coverage import PLANS_WHOLE
 from embodied_active_learning.evaluation.result_tables import (
     Rows,
     final_ergodic_measure,
+    folded,
     group_table,
     last_value,
     markdown,
@@ -70,9 +71,10 @@ def main() -> None:
 
 
 def learning_metrics(records: List[Record]) -> List[str]:
-    """Draw the paper's figure. Return the table of all runs."""
+    """Draw the paper's figure. Return the tables of means and of all runs."""
     draw_record_metrics(IMAGES / "learning_metrics.png", records)
-    return ["", *run_table(records)]
+    groups = group_records(records, "variant")
+    return ["", *group_table(groups, MEASURES), "", *folded("all runs", run_table(records))]
 
 
 def ablations(records: List[Record]) -> List[str]:
@@ -84,7 +86,7 @@ def ablations(records: List[Record]) -> List[str]:
     panels = {name: curves[table, name] for name, table in wanted.items() if (table, name) in curves}
     axes = {name: "step" if table == "exploration" else "update" for name, table in wanted.items()}
     draw_curves(IMAGES / "ablations.png", panels, axes)
-    return ["", *group_table(groups, MEASURES), "", *run_table(records)]
+    return ["", *group_table(groups, MEASURES), "", *folded("all runs", run_table(records))]
 
 
 def ablation_models() -> None:

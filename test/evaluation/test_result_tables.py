@@ -5,6 +5,7 @@ import pytest
 
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.evaluation.result_tables import (
+    folded,
     group_table,
     interval,
     last_value,
@@ -102,3 +103,7 @@ def test_page_has_the_blocks_of_all_results():
         for name in ("learning_metrics", "ablations", "ablation_models", "curated_objects", "coverage")
         if f"<!-- {name} -->" not in text
     ] == []
+
+
+def test_folded_table_is_separated_from_html_by_empty_lines():
+    assert folded("all", ["| a |"]) == ["<details>", "<summary>all</summary>", "", "| a |", "", "</details>"]

@@ -33,6 +33,11 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> List[st
     return [*lines, *(f"| {' | '.join(_text(value) for value in row)} |" for row in rows)]
 
 
+def folded(summary: str, lines: Sequence[str]) -> List[str]:
+    """Return Markdown lines that a reader unfolds by a click on the summary."""
+    return ["<details>", f"<summary>{summary}</summary>", "", *lines, "", "</details>"]
+
+
 def run_table(records: Sequence[Record]) -> List[str]:
     """Return a table with a line for each run."""
     header = (
