@@ -1,74 +1,93 @@
-"""Launch arguments that roslaunch does not know are refused, although roslaunch itself ignores them."""
-
-import subprocess
-import sys
+"""Values of launch arguments: overrides and checks before a launch."""
 
 import pytest
 
+from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.ros.launch_arguments import check_command_line, check_launch_arguments
-from launching import ROOT, environment
-
-LAUNCH = ROOT / "launch"
+from embodied_active_learning.ros.launch_arguments import check_bringup, check_robot, parse_overrides, unset_to_empty
 
 
-@pytest.mark.parametrize("name", ["learn", "fingerprint", "identify", "replay", "robot", "two_machines"])
-def test_unknown_argument_is_refused(name):
-    with pytest.raises(
-        ConfigError, match=r"unknown launch argument sesion_root:=: did you mean session_root:=\?|known"
-    ):
-        check_command_line([str(LAUNCH / f"{name}.launch"), "sesion_root:=/tmp/a"])
+def resolved(robot, franka=()):
+    return Config.from_dict({"arm": {"robot": robot}, "franka": dict(franka)})
 
 
-def test_similar_argument_is_suggested():
-    with pytest.raises(ConfigError, match=r"unknown launch argument worlds:=: did you mean world:=\?"):
-        check_command_line(["--screen", "embodied_active_learning", "learn.launch", "seed:=1", "worlds:=diagonal"])
+def test_automatic_steps_stand_for_the_stopping_criterion():
+    assert parse_overrides(["exploration/steps=auto"]) == {"exploration": {"stop": "stable"}}
+
+
+def test_override_without_value_is_ignored():
+    assert parse_overrides(["exploration/steps=", "exploration/seed=unset"]) == {}
+
+
+def test_last_override_of_a_key_counts():
+    assert parse_overrides(["exploration/seed=1", "exploration/seed=2"]) == {"exploration": {"seed": 2}}
+
+
+def test_text_is_not_parsed_as_yaml():
+    assert parse_overrides(["session/name=1e3"]) == {"session": {"name": "1e3"}}
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("override", "expected"),
+    [("exploration.steps=5", "malformed: expected section/key=value"), ("exploration/steps=[", "not plain YAML")],
+)
+def test_malformed_override_is_rejected(override, expected):
+    with pytest.raises(ConfigError, match=expected):
+        parse_overrides([override])
+
+
+@pytest.mark.parametrize(("value", "expected"), [("unset", ""), ("", ""), ("007", "007")])
+def test_unset_argument_is_empty(value, expected):
+    assert unset_to_empty(value) == expected
+
+
+@pytest.mark.parametrize(
+    ("robot", "bringup", "robot_ip", "expected"),
     [
-        ["embodied_active_learning", "learn.launch", "world:=right", "__ns:=lab"],
-        ["-v", "nowhere.launch", "worlds:=right"],
-        [],
+        ("franka", "all", "", "robot_ip is missing"),
+        ("franka", "all", "172.16.0.2", "robot_profile is missing"),
+        ("franka", "some", "172.16.0.2", "expected one of all, nodes, none"),
+        ("recording", "all", "", "use replay.launch"),
     ],
 )
-def test_known_arguments_and_missing_files_are_left_to_roslaunch(arguments):
-    check_command_line(arguments)
+def test_invalid_bringup_is_rejected(robot, bringup, robot_ip, expected):
+    config = resolved(robot)
+    with pytest.raises(ConfigError, match=expected):
+        check_bringup(config, bringup, robot_ip)
 
 
-def test_file_that_passes_all_arguments_is_not_checked(tmp_path):
-    path = tmp_path / "own.launch"
-    path.write_text('<launch><include file="x.launch" pass_all_args="true" /></launch>')
-    check_command_line([str(path), "anything:=1"])
+@pytest.mark.parametrize(
+    ("robot", "expected"),
+    [
+        ("recording", r"no arm: learn from a recording with replay\.launch"),
+        ("ur5", "robot is 'ur5': expected one of pybullet, franka, velocity_service$"),
+    ],
+)
+def test_robot_without_an_arm_is_rejected(robot, expected):
+    with pytest.raises(ConfigError, match=expected):
+        check_robot({"arm": {"robot": robot}})
 
 
-def test_process_without_roslaunch_is_not_checked():
-    check_launch_arguments()
+@pytest.mark.parametrize("changes", [{}, {"arm": {"robot": "franka"}}])
+def test_robot_with_an_arm_is_accepted(changes):
+    check_robot(changes)
 
 
-def test_parent_roslaunch_is_found(tmp_path):
-    """A stand-in named roslaunch runs the check as a launch file's command."""
-    script = tmp_path / "roslaunch"
-    script.write_text(
-        "import subprocess, sys\n"
-        "code = 'from embodied_active_learning.ros.launch_arguments import *; check_launch_arguments()'\n"
-        "sys.exit(subprocess.run([sys.executable, '-c', code]).returncode)\n"
-    )
-    command = [sys.executable, str(script), str(LAUNCH / "learn.launch")]
-    assert subprocess.run([*command, "world:=right"], check=False).returncode == 0
-    refused = subprocess.run([*command, "worlds:=right"], check=False, capture_output=True, text=True)
-    assert refused.returncode == 1
-    assert "unknown launch argument worlds:=: did you mean world:=?" in refused.stderr
+@pytest.mark.parametrize(
+    ("robot", "bringup"),
+    [("pybullet", "all"), ("franka", "nodes"), ("velocity_service", "all"), ("recording", "none")],
+)
+def test_address_is_required_only_to_connect(robot, bringup):
+    check_bringup(resolved(robot), bringup, "")
 
 
-def test_roslaunch_refuses_unknown_arguments_and_accepts_an_apostrophe(tmp_path):
-    """Dumping parameters parses the launch file like a run does, without a master."""
-    root = tmp_path / "o'neill"
-    root.mkdir()
-    command = ["roslaunch", "--dump-params", "embodied_active_learning", "learn.launch", f"session_root:={root}"]
-    options = {"capture_output": True, "text": True, "timeout": 60, "env": environment(tmp_path)}
-    accepted = subprocess.run(command, check=False, **options)
-    assert str(root) in accepted.stdout.replace("''", "'"), accepted.stderr
-    refused = subprocess.run([*command, "step:=100"], check=False, **options)
-    assert "unknown launch argument step:=: did you mean steps:=?" in refused.stderr + refused.stdout
+def test_connecting_with_a_robot_profile():
+    config = resolved("franka")
+    check_bringup(config, "all", "172.16.0.2", "panda", "lab.yaml")
+
+
+def test_other_arm_id_than_the_profile_is_rejected():
+    config = resolved("velocity_service", {"arm_id": "fr3"})
+    check_bringup(config, "nodes", "", "fr3")
+    with pytest.raises(ConfigError, match="give arm_id:=fr3"):
+        check_bringup(config, "nodes", "", "panda")

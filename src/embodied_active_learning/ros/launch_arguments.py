@@ -1,74 +1,117 @@
-"""Check of the launch arguments on roslaunch's command line, where roslaunch ignores names that no <arg> declares."""
+"""Values of launch arguments: defaults that mean "not given", overrides of settings, and checks before a launch."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-from typing import List, Optional, Sequence, Set, Tuple
-from xml.etree import ElementTree
+from typing import Any, Dict, Mapping, Sequence
 
-from roslaunch.core import RLException
-from roslaunch.rlutil import resolve_launch_arguments
-
+from embodied_active_learning.config import FRANKA, REAL_ROBOTS, RECORDED, SIMULATED, Config, merge
 from embodied_active_learning.errors import ConfigError
-from embodied_active_learning.schema import suggestion
+from embodied_active_learning.files import parse_yaml, short_repr
+from embodied_active_learning.hardware_config import ARMS
+from embodied_active_learning.schema import settings
 
-_GENERATIONS = 4  # processes between a launch file's command and roslaunch, such as a shell
+UNSET = "unset"
+"""Default of optional launch arguments: roslaunch --ros-args lists those with an empty default as required."""
+AUTO = "auto"
+"""Value of exploration/steps in launch files that stands for exploration/stop: stable."""
+BRINGUPS = ("all", "nodes", "none")
+"""What a launch file starts of the arm: everything, everything but a real arm's drivers, or nothing."""
+_PLACEHOLDERS = {
+    "session": "NAME",
+    "bag": "PATH",
+    "robot_host": "ADDRESS",
+    "server_host": "ADDRESS",
+    "robot_env": "FILE",
+    "server_env": "FILE",
+    "robot_profile": "FILE",
+}
+"""What stands for the value of a required launch argument in messages."""
 
 
-def check_launch_arguments() -> None:
-    """Raise ConfigError if the roslaunch that runs this process was given an argument it does not know."""
-    command_line = _roslaunch_command_line()
-    if command_line is not None:
-        check_command_line(command_line)
+def parse_overrides(overrides: Sequence[str]) -> Dict[str, Dict[str, Any]]:
+    """Return sections of keys from texts SECTION/KEY=VALUE. Raises ConfigError.
 
-
-def check_command_line(arguments: Sequence[str]) -> None:
-    """Raise ConfigError if an argument NAME:=VALUE is not declared in the launch files.
-
-    Args:
-        arguments: Arguments of roslaunch: options, a package and its launch files or paths of launch files, and
-            NAME:=VALUE.
+    An override without a value is ignored, and of several for one key the last counts.
     """
-    files = [argument for argument in arguments if ":=" not in argument and not argument.startswith("-")]
-    names = [argument.partition(":=")[0] for argument in arguments if ":=" in argument]
+    changes: Dict[str, Dict[str, Any]] = {}
+    for override in overrides:
+        changes = merge(changes, _parse_override(override))
+    return changes
+
+
+def unset_to_empty(value: str) -> str:
+    """Return the value of a launch argument; empty if it is unset."""
+    return "" if value == UNSET else value
+
+
+def require_arguments(values: Mapping[str, str]) -> None:
+    """Check that launch arguments are given. Raises ConfigError."""
+    for name, value in values.items():
+        if not unset_to_empty(value):
+            raise ConfigError(f"{name} is missing: give {name}:={_PLACEHOLDERS.get(name, 'VALUE')}")
+
+
+def check_robot(changes: Mapping[str, Dict[str, Any]]) -> None:
+    """Check that the robot a launch file sets, if any, has an arm. Raises ConfigError."""
+    robot = changes.get("arm", {}).get("robot", SIMULATED)
+    if robot == RECORDED:
+        raise ConfigError(
+            "robot is recording, which has no arm: learn from a recording with replay.launch, search its session's "
+            "images with identify.launch replay:=NAME"
+        )
+    if robot not in ARMS:
+        raise ConfigError(f"robot is {short_repr(robot)}: expected one of {', '.join(ARMS)}")
+
+
+def check_bringup(
+    config: Config,
+    bringup: str,
+    robot_ip: str,
+    arm_id: str = "",
+    robot_profile: str = "",
+    bringups: Sequence[str] = BRINGUPS,
+) -> None:
+    """Check the launch arguments about starting the arm. Raises ConfigError.
+
+    A new session whose launch connects to a Panda needs a robot profile: the shipped one has the table at the height of
+    the base and no camera mount. bringups: values of bringup that the launch file takes.
+    """
+    if bringup not in bringups:
+        raise ConfigError(f"bringup is {short_repr(bringup)}: expected one of {', '.join(bringups)}")
+    if config.arm.robot == RECORDED and bringup != "none":
+        raise ConfigError("arm/robot is recording, which has no arm: use replay.launch")
+    if config.arm.robot == FRANKA and bringup == "all" and not robot_ip:
+        raise ConfigError(
+            "robot_ip is missing: give the address of the Panda's controller, such as robot_ip:=172.16.0.2, or "
+            "bringup:=nodes if franka_ros and the camera driver are running"
+        )
+    if config.arm.robot == FRANKA and bringup == "all" and not (robot_profile or config.session.resume):
+        raise ConfigError(
+            "robot_profile is missing: copy config/franka.yaml, enter the height of your table and the mount of your "
+            "camera (docs/panda.md), and give robot_profile:=YOUR_FILE.yaml"
+        )
+    if config.arm.robot in REAL_ROBOTS and arm_id not in ("", config.franka.arm_id):
+        raise ConfigError(
+            f"arm_id is {short_repr(arm_id)}, but the robot profile has franka/arm_id {config.franka.arm_id}: give "
+            f"arm_id:={config.franka.arm_id}, or correct the robot profile"
+        )
+
+
+def _parse_override(text: str) -> Dict[str, Dict[str, Any]]:
+    path, equals, value = text.partition("=")
+    section, slash, key = path.partition("/")
+    if not (equals and slash and section and key):
+        raise ConfigError(f"override {short_repr(text)} is malformed: expected section/key=value")
+    if not unset_to_empty(value):
+        return {}
+    if (section, key, value) == ("exploration", "steps", AUTO):
+        return {section: {"stop": "stable"}}
     try:
-        declared, complete = _declared(resolve_launch_arguments(files))
-    except (RLException, ElementTree.ParseError, OSError):
-        return  # roslaunch reports it
-    for name in names:
-        if complete and name not in declared and not name.startswith("_"):
-            known = sorted(declared)
-            raise ConfigError(f"unknown launch argument {name}:={_hint(name, known)}")
+        return {section: {key: value if _is_text(section, key) else parse_yaml(value)}}
+    except ValueError as error:
+        raise ConfigError(f"override {short_repr(text)} is malformed: the value is not plain YAML ({error})") from error
 
 
-def _hint(name: str, known: List[str]) -> str:
-    hint = suggestion(name, known)
-    return f": {hint[:-1]}:=?" if hint.endswith("?") else f": {hint}"
-
-
-def _declared(paths: Sequence[str]) -> Tuple[Set[str], bool]:
-    """Return the arguments of launch files, and False if an include passes on all arguments."""
-    declared: Set[str] = set()
-    complete = True
-    for path in paths:
-        root = ElementTree.parse(path).getroot()  # noqa: S314 - roslaunch parses the same file
-        declared.update(item.get("name", "") for item in root.iter("arg") if item.get("value") is None)
-        complete = complete and all(item.get("pass_all_args") != "true" for item in root.iter("include"))
-    return declared, complete
-
-
-def _roslaunch_command_line() -> Optional[List[str]]:
-    """Return the arguments of the nearest parent process that is roslaunch; None if there is none."""
-    process = os.getppid()
-    for _ in range(_GENERATIONS):
-        try:
-            words = Path(f"/proc/{process}/cmdline").read_bytes().decode("utf-8", "surrogateescape").split("\0")[:-1]
-            status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return None
-        for index, word in enumerate(words[:2]):  # "python3 /opt/ros/noetic/bin/roslaunch ..." or "roslaunch ..."
-            if os.path.basename(word) == "roslaunch":
-                return words[index + 1 :]
-        process = int(status.rpartition(")")[2].split()[1])
-    return None
+def _is_text(section: str, key: str) -> bool:
+    """Return whether a setting is a text, which must not be parsed as YAML: a session may be named 1e3."""
+    return any(isinstance(item.default, str) for name, item in settings(Config) if (name, item.name) == (section, key))

@@ -6,8 +6,9 @@ from typing import Any, Dict, Sequence
 
 from embodied_active_learning.config import RECORDED, Config, merge
 from embodied_active_learning.errors import BagError
-from embodied_active_learning.pipeline.resolve import merge_config, parse_overrides, resolve_config
+from embodied_active_learning.pipeline.resolve import merge_config, resolve_config
 from embodied_active_learning.ros.bags.recording import Recording
+from embodied_active_learning.ros.launch_arguments import parse_overrides
 
 
 def resolve_replay(recording: Recording, profile: str, overrides: Sequence[str]) -> Config:
