@@ -14,8 +14,8 @@ def main(steps: int, images: int, root: str) -> None:
     """Learn, fingerprint and identify."""
     config = eal.load_config("demo", world="right", steps=steps, root=root)
     session = eal.learn(config, show)
-    prints = eal.fingerprint(session)
-    print(f"\nfingerprints: {', '.join(item.name for item in prints.fingerprints)}")
+    fingerprints = eal.fingerprint(session)
+    print(f"\nfingerprints: {', '.join(item.name for item in fingerprints.fingerprints)}")
 
     # Images of another table: an exploration that does not train.
     other_table = eal.load_config(

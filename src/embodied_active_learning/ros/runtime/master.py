@@ -19,7 +19,7 @@ _TIMEOUT = 3.0
 
 
 CALL_ERRORS = (OSError, http.client.HTTPException, XmlRpcError, ExpatError)
-"""Exceptions of a call of the ROS master or of a node that is gone; the last one if it dies during its response."""
+"""Exceptions of a call of the ROS master or of a node that is gone. ExpatError: it died while it responded."""
 
 
 def server_proxy(uri: str) -> Any:
