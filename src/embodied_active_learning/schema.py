@@ -162,7 +162,9 @@ class _Builder:
     def check(self, cls: type, values: Any, place: str, complete: bool) -> Dict[str, Any]:
         """Return the checked values of a dataclass; nested ones are built only if the values are complete."""
         known = {item.name: item for item in dataclasses.fields(cls)}
-        self._check_names(values, known, place, all(map(_is_section, _hints(cls).values())))
+        sections = all(map(_is_section, _hints(cls).values()))
+        inside = {item.name: f"{section}/{item.name}" for section, item in settings(cls)} if sections else {}
+        self._check_names(values, known, place, inside)
         if complete:
             for name, item in known.items():
                 if name not in values and item.default is item.default_factory is dataclasses.MISSING:
@@ -176,15 +178,17 @@ class _Builder:
                 checked[name] = self._value(kind, known[name], value, at)
         return checked
 
-    def _check_names(self, values: Any, known: Collection[str], place: str, sections: bool) -> None:
+    def _check_names(self, values: Any, known: Collection[str], place: str, inside: Mapping[str, str]) -> None:
+        """Check the keys of a mapping. inside: of a mapping of sections, the paths of the keys in them by name."""
         if not isinstance(values, dict):
             name = f"section {place}" if place else "the content"
             raise self._refuse(f"{name} is {short_repr(values)}: expected keys and values")
         for key in values:
             if key not in known:
                 text, prefix = str(key)[:_MAX_KEY_LENGTH], f"{place}/" if place else ""
-                kind = "section" if sections else "key"
-                raise self._refuse(f"unknown {kind} {prefix}{text}: {suggestion(text, known, prefix)}")
+                kind = "section" if inside else "key"
+                hint = f"did you mean {inside[text]}?" if text in inside else suggestion(text, known, prefix)
+                raise self._refuse(f"unknown {kind} {prefix}{text}: {hint}")
 
     def _value(self, kind: Any, item: dataclasses.Field, value: Any, place: str) -> Any:
         """Check a value against a type. item: the dataclass field with default and legal values."""
@@ -196,7 +200,7 @@ class _Builder:
         if origin is Union:
             return self._value(inner[0], item, value, place)
         if origin is dict:
-            self._check_names(value, value, place, False)
+            self._check_names(value, value, place, {})
             return {key: self._value(inner[1], item, part, _join(place, key)) for key, part in value.items()}
         return self._tuple(inner[0], item, value, place) if origin is tuple else self._scalar(kind, item, value, place)
 

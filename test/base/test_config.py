@@ -21,6 +21,7 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
+        ({"steps": 100}, "unknown section steps: did you mean exploration/steps?"),
         ({"exploraton": {}}, "unknown section exploraton: did you mean exploration?"),
         ({"exploration": {"step": 5}}, "unknown key exploration/step: did you mean exploration/steps?"),
         ({"exploration": {"steps": "many"}}, "exploration/steps is 'many': expected a whole number"),

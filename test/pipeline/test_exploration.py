@@ -42,6 +42,15 @@ def test_explorers_increase_coverage(explorer):
     assert metrics[-1].turning > 0.1
 
 
+def test_command_of_another_type_is_an_error():
+    run = ExplorationRun(configured("uniform"))
+    run.observe(np.array([0.4, 0.0, 0.0]), np.zeros(3))
+    run.evaluate_step(None)
+    run._explorer.next_command = lambda *_arguments: (0.4, 0.0, 0.0)
+    with pytest.raises(EmbodiedActiveLearningError, match="expected a PoseCommand or VelocityCommand"):
+        run.next_command()
+
+
 def test_distance_and_turning_sum_state_changes():
     config = configured()
     run = ExplorationRun(config)

@@ -26,8 +26,10 @@ from embodied_active_learning.objects.fingerprint import ARRAYS, BLANK
 from embodied_active_learning.session import fingerprints, lock
 from embodied_active_learning.session.checksummed_yaml import write_checksummed
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints, save_fingerprints
+from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.stored_config import write_stored_config
+from embodied_active_learning.session.summary import Summary, write_summary
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 from sample_fingerprints import CONFIG, make_fingerprint, make_set
 
@@ -92,6 +94,14 @@ def test_set_round_trip_with_session_config(session):
     assert_same(found, make_set())
     assert found.config == CONFIG
     assert type(found.fingerprints) is tuple
+
+
+@pytest.mark.parametrize(("updates", "warned"), [(8, True), (7, False)])
+def test_fingerprints_of_an_earlier_model_are_warned_about(session, caplog, updates, warned):
+    save_fingerprints(session, numbered(7))
+    write_summary(SessionPaths(session).summary, Summary(finished=True, steps=100, updates=updates, wall_time=1.0))
+    load_fingerprints(session)
+    assert (f"after 7 of {updates} updates: make them again" in caplog.text) == warned
 
 
 def test_calibration_of_other_rules_or_missing_is_none(session, monkeypatch):
@@ -182,7 +192,7 @@ def test_missing_fingerprints_error_has_a_remedy(session):
     (session / "fingerprints").mkdir()
     assert not has_fingerprints(session)
     command = "roslaunch embodied_active_learning fingerprint.launch session:=a"
-    with pytest.raises(SessionError, match=rf"a has no fingerprints yet: call /fingerprint first, with {command}$"):
+    with pytest.raises(SessionError, match=rf"a has no fingerprints yet: make them with {command}, or"):
         load_fingerprints(session)
     save_fingerprints(session, make_set())
     assert has_fingerprints(session)

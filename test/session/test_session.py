@@ -110,7 +110,7 @@ def test_resume_with_moved_world_is_accepted(tmp_path):
 
 def test_resume_of_missing_session_lists_sessions(tmp_path):
     create(tmp_path, name="first")
-    with pytest.raises(SessionError, match=r"no session .*/b to resume: known are first"):
+    with pytest.raises(SessionError, match=r"there is no session b in .*: known are first"):
         check_session(make_config(tmp_path, name="b", resume=True))
 
 

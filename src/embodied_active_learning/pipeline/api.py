@@ -20,7 +20,7 @@ from embodied_active_learning.pipeline.identification import IdentificationRun
 from embodied_active_learning.pipeline.resolve import resolve_config
 from embodied_active_learning.schema import settings, suggestion
 from embodied_active_learning.session.fingerprints import load_fingerprints
-from embodied_active_learning.session.session import Session, find_session, session_root
+from embodied_active_learning.session.session import Session, find_session, known_sessions, session_root
 from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import load_world
@@ -55,7 +55,10 @@ def load_session(session: SessionLike) -> Session:
         raise SessionError(f"session is {short_repr(session)}: expected a Session, its folder, or its name")
     if isinstance(session, str) and os.sep not in session:
         return Session.open_read_only(find_session(session_root(Config()), session))
-    return Session.open_read_only(Path(os.path.abspath(os.path.expanduser(session))))
+    path = Path(os.path.abspath(os.path.expanduser(session)))
+    if not path.is_dir():
+        raise SessionError(f"there is no session {path}: {known_sessions(path.parent)}")
+    return Session.open_read_only(path)
 
 
 def load_model(session: SessionLike) -> Optional[TrainedModel]:

@@ -8,7 +8,7 @@ from typing import Callable, Dict, Mapping, Optional, Tuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import CorruptFileError
+from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
 from embodied_active_learning.exploration.ergodic_objective import (
     flat_distribution,
@@ -17,6 +17,7 @@ from embodied_active_learning.exploration.ergodic_objective import (
 )
 from embodied_active_learning.exploration.explorer import Explorer
 from embodied_active_learning.exploration.samples import WorkspaceSamples
+from embodied_active_learning.files import short_repr
 from embodied_active_learning.registry import EXPLORERS, INFORMATION_MEASURES
 from embodied_active_learning.rng import resumed_seed
 from embodied_active_learning.state_dict import StateDict, add_prefix, matching_arrays, select_prefix
@@ -177,6 +178,10 @@ class ExplorationRun:
     def next_command(self) -> Command:
         """Return the next command for the target of the last evaluate_step."""
         command = self._explorer.next_command(self._target, self._samples)
+        if not isinstance(command, (VelocityCommand, PoseCommand)):
+            raise EmbodiedActiveLearningError(
+                f"the explorer's next_command returned {short_repr(command)}: expected a PoseCommand or VelocityCommand"
+            )
         if isinstance(command, VelocityCommand):
             acceleration = (command.velocity - self._velocity) / self._workspace.scale / self._step_duration
             self._effort += float(acceleration @ acceleration) * self._step_duration

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, Dict, Mapping, Sequence
 
 from embodied_active_learning.config import FRANKA, REAL_ROBOTS, RECORDED, SIMULATED, Config, merge
@@ -49,6 +50,12 @@ def require_arguments(values: Mapping[str, str]) -> None:
     for name, value in values.items():
         if not unset_to_empty(value):
             raise ConfigError(f"{name} is missing: give {name}:={_PLACEHOLDERS.get(name, 'VALUE')}")
+
+
+def print_failure(error: Exception) -> None:
+    """Print why a launch file starts nothing: in red on a terminal, because roslaunch prints much after it."""
+    red, end = ("\033[31m", "\033[0m") if sys.stderr.isatty() else ("", "")
+    print(f"\n{red}nothing was started: {error}{end}\n", file=sys.stderr)  # noqa: T201 - for the launch file's reader
 
 
 def check_robot(changes: Mapping[str, Dict[str, Any]]) -> None:

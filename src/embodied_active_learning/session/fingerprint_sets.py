@@ -26,8 +26,8 @@ def newest_generation(session_path: Path) -> Path:
     found = generations(session_path)
     if not found:
         raise SessionError(
-            f"session {session_path} has no fingerprints yet: call /fingerprint first, with "
-            f"roslaunch embodied_active_learning fingerprint.launch session:={session_path.name}"
+            f"session {session_path} has no fingerprints yet: make them with roslaunch embodied_active_learning "
+            f"fingerprint.launch session:={session_path.name}, or in Python with fingerprint()"
         )
     return found[0]
 

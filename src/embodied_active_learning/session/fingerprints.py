@@ -6,6 +6,7 @@ Whatever kills the process or the machine, the newest generation is complete.
 
 from __future__ import annotations
 
+import logging
 import os
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -37,8 +38,10 @@ from embodied_active_learning.session.fingerprint_sets import generations, newes
 from embodied_active_learning.session.lock import claim
 from embodied_active_learning.session.paths import LOCK_FILE, SessionPaths, stays_inside
 from embodied_active_learning.session.stored_config import changed_keys, read_stored_config
+from embodied_active_learning.session.summary import readable_summary
 from embodied_active_learning.session.tensor_files import read_tensors, write_tensors
 
+LOG = logging.getLogger(__name__)
 FORMAT = "embodied_active_learning/fingerprints"
 VERSION = 2
 SET_FILE = "set.yaml"
@@ -106,7 +109,7 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
 
 
 def load_fingerprints(session_path: Path) -> FingerprintSet:
-    """Read the newest set of a session, with the session's configuration.
+    """Read the newest set of a session, with the session's configuration; warn if the model has learned more since.
 
     Raises:
         SessionError: The session has no fingerprints yet.
@@ -117,11 +120,23 @@ def load_fingerprints(session_path: Path) -> FingerprintSet:
     while True:
         generation = newest_generation(session_path)
         try:
-            return _read_set(session_path, generation, config)
+            found = _read_set(session_path, generation, config)
+            _warn_if_outdated(session_path, found)
+            return found
         except CorruptFileError:
             # A new set may have replaced the one that was being read.
             if newest_generation(session_path) == generation:
                 raise
+
+
+def _warn_if_outdated(session_path: Path, found: FingerprintSet) -> None:
+    summary = readable_summary(SessionPaths(session_path).summary)
+    if summary is not None and summary.updates > found.updates:
+        LOG.warning(
+            "the fingerprints of session %s are those after %d of %d updates: make them again with fingerprint.launch "
+            "session:=%s",
+            session_path.name, found.updates, summary.updates, session_path.name,
+        )  # fmt: skip
 
 
 def has_fingerprints(session_path: Path) -> bool:

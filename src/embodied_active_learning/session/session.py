@@ -189,7 +189,7 @@ def _check_folder(path: Path, config: Config) -> None:
     if not _is_new(path):
         _check_existing(path, config)
     elif config.session.resume:
-        raise SessionError(f"no session {path} to resume: {known_sessions(path.parent)}")
+        raise SessionError(f"there is no session {path.name} in {path.parent}: {known_sessions(path.parent)}")
 
 
 def _check_existing(path: Path, config: Config) -> None:

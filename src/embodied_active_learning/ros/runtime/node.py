@@ -17,6 +17,7 @@ from embodied_active_learning.ros.runtime.handshake import install_handshake_tim
 from embodied_active_learning.ros.runtime.master import connection_error, wait_for_master
 from embodied_active_learning.ros.runtime.running_nodes import own_name, require_unused_names
 from embodied_active_learning.ros.runtime.shutdown import (
+    TIMEOUT,
     ExitCode,
     ShutdownDeadline,
     exit_process,
@@ -38,6 +39,7 @@ def run_node(
     always_required: bool = False,
     failure_ends_run: bool = True,
     reads_arm_config: bool = False,
+    shutdown_timeout: float = TIMEOUT,
 ) -> None:
     """Run body(config) as a ROS node, and exit with an ExitCode. `--help` prints the docstring of the node instead.
 
@@ -48,11 +50,12 @@ def run_node(
         always_required: the launch always ends with this node, so it need not report a failure to a FailureWatch.
         failure_ends_run: whether a FailureWatch ends the run if this node fails.
         reads_arm_config: see read_config.
+        shutdown_timeout: wall seconds after a signal until the process is ended; roslaunch waits for 15.
     """
     if {"-h", "--help"} & set(sys.argv[1:]):
         sys.stdout.write(f"{getattr(body, '__globals__', {}).get('__doc__') or name}{_HELP}\n")
         sys.exit(ExitCode.SUCCESS)
-    deadline = ShutdownDeadline(name)
+    deadline = ShutdownDeadline(name, shutdown_timeout)
     try:
         reports_failure = failure_ends_run and not always_required
         code = _run(name, body, needs_clock, always_required, reports_failure, reads_arm_config)

@@ -15,8 +15,8 @@ import rospy
 
 TIMEOUT = 4.0
 """Wall seconds after a signal until the process is ended. All files are written atomically, so this damages none."""
-_KERNEL_TIMEOUT = TIMEOUT + 0.5
-"""Wall seconds after which the kernel ends a process whose interpreter is blocked."""
+_KERNEL_DELAY = 0.5
+"""Wall seconds after the timeout at which the kernel ends a process whose interpreter is blocked."""
 _shutdown_reason: SimpleQueue[str] = SimpleQueue()
 _shutdown_thread = threading.Thread(target=lambda: rospy.signal_shutdown(_shutdown_reason.get()), daemon=True)
 
@@ -27,18 +27,19 @@ class ExitCode(enum.IntEnum):
     SUCCESS = 0  # finished, or ended by SIGINT or SIGTERM
     UNEXPECTED_ERROR = 1  # with a traceback in the log
     KNOWN_ERROR = 2  # one of the package's exceptions, whose message is the last line of the log
-    SHUTDOWN_TIMEOUT = 3  # did not end within TIMEOUT after a signal
+    SHUTDOWN_TIMEOUT = 3  # did not end in time after a signal
 
 
 class ShutdownDeadline:
-    """Ends this process if it is still running TIMEOUT seconds after a signal, or after start().
+    """Ends this process if it is still running `timeout` seconds after a signal, or after start().
 
     Create it in the main thread. Its thread is woken by the signal itself, even while the main thread is blocked in a
     computation and cannot run its signal handlers.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, timeout: float = TIMEOUT) -> None:
         self._name = name
+        self._timeout = timeout
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
@@ -53,11 +54,11 @@ class ShutdownDeadline:
         awaited = {0, int(signal.SIGINT), int(signal.SIGTERM)}
         while os.read(self._reader, 1)[0] not in awaited:
             pass
-        signal.setitimer(signal.ITIMER_REAL, _KERNEL_TIMEOUT)
-        time.sleep(TIMEOUT)
+        signal.setitimer(signal.ITIMER_REAL, self._timeout + _KERNEL_DELAY)
+        time.sleep(self._timeout)
         # Not logged with rospy: a blocked thread may hold the locks of the log.
         name = rospy.get_name() if rospy.core.is_initialized() else self._name
-        os.write(2, f"{name}: shutdown timeout: still running after {TIMEOUT:g} s; ending the process\n".encode())
+        os.write(2, f"{name}: shutdown timeout: still running after {self._timeout:g} s; ending the process\n".encode())
         os._exit(ExitCode.SHUTDOWN_TIMEOUT)
 
 
