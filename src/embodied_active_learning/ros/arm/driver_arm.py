@@ -12,7 +12,7 @@ import rospy
 from embodied_active_learning.arm_requests import StopSignal
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, ConfigError
-from embodied_active_learning.franka.driver import FrankaDriver, Reached
+from embodied_active_learning.franka.set_point_driver import Reached, SetPointDriver
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.config_check import ConfigCheck
@@ -33,7 +33,7 @@ class DriverArm(ArmServer):
     ROBOT: ClassVar[str]
     """The value of arm/robot that the node is for."""
 
-    def __init__(self, config: Config, driver: FrankaDriver) -> None:
+    def __init__(self, config: Config, driver: SetPointDriver) -> None:
         """Raises ConfigError if the configuration is for another robot."""
         if config.arm.robot != self.ROBOT:
             raise ConfigError(

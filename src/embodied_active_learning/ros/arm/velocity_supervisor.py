@@ -9,7 +9,7 @@ import rospy
 
 from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import ArmNotReadyError, RobotError, ServiceError
-from embodied_active_learning.franka.driver import FrankaDriver
+from embodied_active_learning.franka.set_point_driver import SetPointDriver
 from embodied_active_learning.ros.arm.requested_recovery import requested_recovery
 from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
@@ -23,7 +23,7 @@ _READY_TIMEOUT = 2.0  # s
 class VelocitySupervisor:
     """Keeps the arm ready where no person is needed. It switches controllers only while the arm is at rest."""
 
-    def __init__(self, interface: VelocityInterface, driver: FrankaDriver, config: FrankaConfig) -> None:
+    def __init__(self, interface: VelocityInterface, driver: SetPointDriver, config: FrankaConfig) -> None:
         self._interface = interface
         self._driver = driver
         self._config = config
