@@ -14,10 +14,10 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.pipeline.identification import IdentificationRun, read_sets
 from embodied_active_learning.ros.objects.identification_output import IdentificationOutput
 from embodied_active_learning.ros.planner.open_places import OpenPlacesPublisher
-from embodied_active_learning.ros.planner.trainer_client import save_model
 from embodied_active_learning.ros.runtime.diagnostics import Rate
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 from embodied_active_learning.ros.runtime.task_server import TaskProgress
+from embodied_active_learning.ros.trainer.client import save_model
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import find_session, session_path, session_root
