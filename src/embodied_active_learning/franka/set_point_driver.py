@@ -97,8 +97,8 @@ class SetPointDriver:
         delay: float,
         end_effector: Sequence[float],
         mode: int,
-        errors: Sequence[str],
-        last_errors: Sequence[str],
+        errors: Optional[Sequence[str]] = None,
+        last_errors: Sequence[str] = (),
     ) -> Optional[Reached]:
         """Process a state of the robot.
 
@@ -107,7 +107,7 @@ class SetPointDriver:
             delay: Of the stamp behind this computer's clock at arrival, s.
             end_effector: O_T_EE, (16,) column by column.
             mode: franka_msgs/FrankaState.robot_mode.
-            errors: Names of the present errors.
+            errors: Names of the present errors; None leaves those of `update_control`.
             last_errors: Names of the errors that ended the last motion.
 
         Returns:
@@ -125,7 +125,11 @@ class SetPointDriver:
             else:
                 self._add_pose(stamp, pose)
             self._report = self._report._replace(
-                problem=problem, mode=mode, errors=tuple(errors), last_errors=tuple(last_errors), delay=delay
+                problem=problem,
+                mode=mode,
+                errors=self._report.errors if errors is None else tuple(errors),
+                last_errors=tuple(last_errors),
+                delay=delay,
             )
             self._stamp = stamp
             self._changed.notify_all()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import rospy
 
@@ -29,7 +28,6 @@ class VelocitySupervisor:
         self._config = config
         self._lock = threading.Lock()  # held by the thread that makes the robot do something
         self._throttle = LogThrottle()
-        self.started_at = 0.0  # monotonic time of the last start of the controller
         WallTimer(PERIOD, self.check)
 
     def check(self) -> None:
@@ -81,7 +79,6 @@ class VelocitySupervisor:
 
     def _start(self) -> None:
         self._interface.start(self._config.rate)
-        self.started_at = time.monotonic()
         with self._driver.readiness() as readiness:
             readiness.set_prepared()
         rospy.loginfo("velocity controller started")
