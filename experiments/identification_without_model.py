@@ -125,7 +125,7 @@ class Half:
     def _target(self, found: FingerprintSet, fingerprint: Fingerprint) -> SearchTarget:
         """A target whose model and belief are not used."""
         grid = BeliefGrid(self._box, self._settings)
-        return SearchTarget(found, fingerprint, self._untrained, 1.0, grid, self._settings)
+        return SearchTarget(found, fingerprint, self._untrained, 1.0, grid, self._settings.error_rate)
 
     def _world(self, index: int) -> World:
         """Three objects on a table."""

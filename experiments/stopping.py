@@ -75,6 +75,7 @@ def learn(world: Path, root: Path, steps: int, stop: str) -> Session:
 def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
     """Return the checks of a session, and its objects at the stop and after fixed numbers of steps."""
     config, criterion = session.config, StoppingCriterion()
+    plan = config.update_plan
     evaluations, training = session.read_table("evaluation"), session.read_table("training")
     truth = np.array([item[1:] for item in true_objects(config)], dtype=float).reshape(-1, 2)
     rows: Dict[str, List[Dict[str, Any]]] = {"checks": [], "objects": []}
@@ -87,13 +88,10 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
         evaluation = Evaluation(**{**values, "update": update, "observations": int(values["observations"])})
         path = session.paths.checkpoints / f"checkpoint_{update:09d}.safetensors"
         model = TrainedModel(config, network_weights(read_tensors(path, "checkpoint")[0]))
-        steps = config.training.first_update_at + update // config.training.updates_per_observation
-        if steps > config.exploration.steps:  # the remaining updates at the end of the run
-            steps, rules = config.exploration.steps, []
-        else:
-            rules = [f"after {fixed}" for fixed in SHOWN if steps - CHECK_EVERY < fixed <= steps]
-        if update == config.update_plan.total:
-            rules = [f"after {steps}"]
+        steps = plan.observations_awaiting(update)
+        rules = [f"after {fixed}" for fixed in SHOWN if steps - CHECK_EVERY < fixed <= steps]
+        if steps == plan.steps:  # the remaining updates at the end of the run
+            rules = [f"after {steps}"] if update == plan.total else []
         check = criterion.add(measure(config, model, evaluation, float(training["coverage"][update - 1]), stored))
         if check.stopped and not any(row["rule"] == "stable" for row in rows["objects"]):
             rules.append("stable")
@@ -118,13 +116,11 @@ def store_fingerprints(session: Session, steps: int, root: Path) -> None:
         steps: At which the longer run has a checkpoint.
         root: Folder of the shorter session.
     """
-    name, training = f"{session.name}-{steps}", session.config.training
+    name = f"{session.name}-{steps}"
     if has_fingerprints(root / name):
         return
     shutil.rmtree(root / name, ignore_errors=True)
-    updates = session.config.update_plan.total
-    if steps < session.config.exploration.steps:
-        updates = training.updates_per_observation * (steps - training.first_update_at)
+    updates = session.config.update_plan.awaited(steps)
     values = session.config.to_dict()
     values["session"].update(name=name, root=str(root))
     values["exploration"].update(steps=steps, stop="fixed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -44,8 +45,7 @@ class UpdatePlan:
 
         With the defaults, updates 0 to 2 need 64, updates 3 to 5 need 65, and updates 8808 to 8999 need all 3000.
         """
-        proportional = self.per_observation * (self.steps - self.first_update_at)
-        return self.steps if update >= proportional else self.first_update_at + update // self.per_observation
+        return self._observations_for(update + 1)
 
     def due(self, observations: int) -> int:
         """Return the number of updates due after a number of observations; all when exploration is complete.
@@ -64,3 +64,14 @@ class UpdatePlan:
         """
         due = self.due(observations)
         return due if observations >= self.steps else max(0, due - self.per_refresh)
+
+    def observations_awaiting(self, updates: int) -> int:
+        """Return the number of observations after which the planner waits for a model with so many updates.
+
+        The inverse of `awaited`, for a positive multiple of per_refresh; at most `steps`.
+        """
+        return self._observations_for(updates + self.per_refresh)
+
+    def _observations_for(self, updates: int) -> int:
+        """Return the smallest number of observations after which so many updates are due, whole rounds or not."""
+        return min(self.steps, self.first_update_at - 1 + math.ceil(updates / self.per_observation))

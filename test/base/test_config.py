@@ -193,3 +193,14 @@ def test_rounds_of_several_trainers_are_due_as_a_whole(trainers, updates, ratio,
     assert awaited == max(0, due - trainers * updates)
     assert due == 0 or config.update_plan.observations_needed(due - 1) <= count
     assert config.update_plan.awaited(steps) == config.update_plan.due(steps) == ratio * steps
+
+
+@given(st.integers(1, 4), st.integers(1, 9), st.integers(1, 4), st.integers(20, 200), st.data())
+def test_model_is_awaited_from_the_computed_observation_on(trainers, updates, ratio, steps, data):
+    training = {"trainers": trainers, "updates_per_round": updates, "updates_per_observation": ratio}
+    training.update(batch_size=8, first_update_at=8)
+    plan = Config.from_dict({"training": training, "exploration": {"steps": steps}}).update_plan
+    wanted = plan.per_refresh * data.draw(st.integers(1, 50))
+    count = plan.observations_awaiting(wanted)
+    assert plan.awaited(count - 1) < wanted
+    assert plan.awaited(count) >= min(wanted, plan.total)

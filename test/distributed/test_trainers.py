@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.distributed import pool as pool_module
+from embodied_active_learning.distributed import remote_worker
 from embodied_active_learning.distributed.link import LinkError, connect_store
 from embodied_active_learning.distributed.local import start_workers
 from embodied_active_learning.distributed.messages import ROUND, Header
@@ -151,7 +151,7 @@ def test_owner_trains_alone_without_workers(tmp_path):
 
 
 def test_late_worker_gets_all_observations_and_takes_part(tmp_path, monkeypatch):
-    monkeypatch.setattr(pool_module, "CHUNK", 4)
+    monkeypatch.setattr(remote_worker, "CHUNK", 4)
     run = TrainingRun(configured(tmp_path, trainers=2))
     run.pool._gathered = True  # waits for nobody
     with training(run) as output:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.config import Config, load_profile
-from embodied_active_learning.franka.driver import FrankaDriver
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
+from embodied_active_learning.franka.set_point_driver import SetPointDriver
 from fake_franka.frames import matrix_of, pose_of
 from fake_franka.robot import Behaviour, FakeRobot
 from launching import ROOT
@@ -41,7 +41,7 @@ class Loop:
         self.robot.hand.set_stiffness(config.franka.stiffness, config.franka.turn_stiffness)
         self.robot.change_controllers(moves_the_arm=True, impedance=True)
         self._advance(3.0)
-        self.driver = FrankaDriver(config, lambda: self.now)
+        self.driver = SetPointDriver(config, lambda: self.now)
         self.driver._readiness.set_prepared()
         self._state_at = self.now
         self.rates = []

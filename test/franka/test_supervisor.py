@@ -11,9 +11,9 @@ import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmNotReadyError, RobotError
-from embodied_active_learning.franka.driver import FrankaDriver
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Condition, Controller, RobotMode
+from embodied_active_learning.franka.set_point_driver import SetPointDriver
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm import requested_recovery
 from fake_franka.generate import use_messages
@@ -95,7 +95,7 @@ def lab(monkeypatch):
     from embodied_active_learning.ros.arm import franka_supervisor  # noqa: PLC0415 - needs the messages
 
     clock = SimpleNamespace(now=10.0)
-    driver = FrankaDriver(CONFIG, lambda: clock.now)
+    driver = SetPointDriver(CONFIG, lambda: clock.now)
     interface = Interface()
     transform = np.eye(4)
     pose = CameraPose(tuple(CONFIG.workspace.box().centre), 0.0, (0.0, 0.0))

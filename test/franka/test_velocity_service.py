@@ -1,4 +1,6 @@
-"""Driver, tracker and a stand-in for the velocity service in a closed loop, on a clock that the tests advance."""
+"""Driver, sender and a stand-in for the velocity service in a closed loop, on a clock that the tests advance."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +12,8 @@ from embodied_active_learning.errors import ArmFailedError, ArmStoppedError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import Condition, RobotMode
 from embodied_active_learning.franka.set_points import MAX_PERIOD, Tracking
-from embodied_active_learning.franka.velocity_readiness import STOPPED_ERROR
-from embodied_active_learning.franka.velocity_tracking import REST, VelocityTracker, velocity_driver
+from embodied_active_learning.franka.velocity_tracking import VelocityTracker, velocity_driver
+from embodied_active_learning.ros.arm.velocity_sender import VelocitySender
 from fake_velocity_service.robot import VelocityRobot
 from threads import in_a_thread, wait_for_waiter
 
@@ -51,8 +53,8 @@ class Lab:
         self.robot = VelocityRobot(matrix, **robot)
         self.driver = velocity_driver(CONFIG, lambda: self.now)
         self.readiness = self.driver._readiness
-        self.tracker = VelocityTracker(CONFIG)
-        self.errors = ()
+        interface = SimpleNamespace(send=lambda twist: self.robot.command(*twist))
+        self.sender = VelocitySender(interface, self.driver, CONFIG, lambda: self.now)
         self.thread = None  # of the last command
         self.cameras, self.queue = [], []
         self.readiness.set_prepared()
@@ -77,14 +79,8 @@ class Lab:
             self.queue.append((self.now, self.robot.pose.T.ravel().copy()))
             if len(self.queue) > 5:
                 stamp, pose = self.queue.pop(0)
-                self.driver.update_state(stamp, self.now - stamp, pose, RobotMode.OTHER, self.errors, ())
-            tracking = self.driver.tracking() if self.driver.tick() is not None else None
-            if tracking is None:
-                self.tracker.reset()
-            twist = self.tracker.twist(tracking, TICK) if tracking else REST
-            if not self.robot.command(*twist):
-                self.errors = (STOPPED_ERROR,)
-                self.driver.update_control(errors=self.errors)
+                self.driver.update_state(stamp, self.now - stamp, pose, RobotMode.OTHER)
+            self.sender.send()
 
     def begins(self, command, *arguments, stop=None):
         outcome = []
@@ -164,10 +160,11 @@ def test_robot_that_does_not_follow_is_held_until_released():
     lab.passes(0.2)
     thread.join(10.0)
     assert isinstance(outcome[0], ArmStoppedError)
-    lab.robot.success, lab.errors = True, ()
+    lab.robot.success = True
     lab.passes(3.0)
     assert lab.readiness.condition is Condition.RECOVERY_REQUIRED
     assert "/arm/recover" in lab.driver.why_not_ready()
+    lab.driver.update_control(errors=())
     lab.readiness.release()
     lab.passes(0.1)
     assert lab.readiness.is_ready

@@ -234,7 +234,9 @@ def test_invalid_number_of_trainers_is_reported_by_the_resolver(tmp_path, capfd)
 
 
 @pytest.mark.parametrize(
-    ("explorer", "updates"), [("ergodic", ""), ("mine.spiral:SpiralExplorer", ""), ("uniform_ergodic", "0")]
+    ("explorer", "updates"),
+    [("ergodic", ""), ("mine.spiral:SpiralExplorer", "")]
+    + [(name, "0") for name in ("active", "random_walk", "uniform", "uniform_ergodic")],
 )
 def test_identify_launch_trains_for_own_explorers(commands, explorer, updates):
     load("identify", "sessions:=a", f"explorer:={explorer}")

@@ -7,7 +7,7 @@ import logging
 import threading
 import time
 from dataclasses import dataclass
-from typing import Callable, List, NamedTuple, Optional
+from typing import Callable, List
 
 import torch
 
@@ -20,37 +20,15 @@ from embodied_active_learning.distributed.link import (
     connect_store,
     serve_store,
 )
-from embodied_active_learning.distributed.messages import (
-    CONFIG,
-    IDLE,
-    OBSERVATIONS,
-    ROUND,
-    TICKETS,
-    Header,
-    empty_response,
-    ticket_name,
-)
+from embodied_active_learning.distributed.messages import CONFIG, ROUND, TICKETS, Header, ticket_name
+from embodied_active_learning.distributed.remote_worker import RemoteWorker, Result, Task, WorkerStatus
 from embodied_active_learning.model.batches import ObservationSource
 from embodied_active_learning.model.learner import Learner
 
 LOG = logging.getLogger(__name__)
-CHUNK = 64  # observations in one message while a worker joins
 _MAX_JOINING = 16  # workers that may join at once
 _POLL_PERIOD = 0.1  # s
 _IDLE_PERIOD = 1.0  # s, between two messages to a worker that has nothing to do
-
-
-@dataclass
-class WorkerStatus:
-    """One worker, for diagnostics."""
-
-    slot: int
-    rounds: int = 0
-    updates: int = 0
-    bytes: int = 0
-    updates_per_second: float = 0.0  # in the last round, transfers included
-    lag: float = 0.0  # s, by which its last result came after the owner's own
-    seen: float = 0.0  # time.monotonic() of its last response
 
 
 @dataclass(frozen=True)
@@ -62,84 +40,6 @@ class RoundReport:
     updates: int
     seconds: float
     computing: float
-
-
-class Task(NamedTuple):
-    """A worker's part of a round."""
-
-    header: Header
-    observations: int  # that the worker must have
-    weights: torch.Tensor  # (P,)
-    moments: Optional[torch.Tensor]  # (2 P + 1,)
-
-
-class Result(NamedTuple):
-    """Updates made by a worker in a round, and its weights (P,)."""
-
-    updates: int
-    weights: torch.Tensor
-
-
-class Worker:
-    """A worker as the owner sees it. A thread of its own exchanges messages with it.
-
-    Attributes:
-        task: What it has to do, until the result is there.
-        result: Of its last task.
-        rollbacks: Of the owner when the worker got its moments.
-        dropped: Whether it takes no part any more.
-    """
-
-    def __init__(self, link: Link, slot: int, timeout: float) -> None:
-        self._link = link
-        self._timeout = timeout
-        self._observations = 0
-        self._weights = torch.zeros(0)
-        self.status = WorkerStatus(slot, seen=time.monotonic())
-        self.task: Optional[Task] = None
-        self.result: Optional[Result] = None
-        self.rollbacks: Optional[int] = None
-        self.dropped = False
-
-    def send_observations(self, store: ObservationSource, limit: int) -> bool:
-        """Send at most CHUNK of the first `limit` observations that the worker lacks; return whether it lacks more."""
-        first, last = self._observations, min(limit, self._observations + CHUNK)
-        if last > first:
-            states = torch.from_numpy(store.states[first:last])
-            images = torch.from_numpy(store.images[first:last])
-            header = Header(OBSERVATIONS, observations=last - first).tensor()
-            self._exchange(header, states, images)
-            self._observations = last
-        return last < limit
-
-    def ping(self) -> None:
-        """Exchange a message without content."""
-        self._exchange(Header(IDLE).tensor())
-
-    def make_updates(self, task: Task) -> Result:
-        """Make the worker compute its updates. Raises LinkError also if the result is invalid."""
-        began = time.monotonic()
-        if len(self._weights) != len(task.weights):
-            self._weights = torch.zeros_like(task.weights)
-        moments = [] if task.moments is None else [task.moments]
-        made = self._exchange(task.header.tensor(), task.weights, *moments, result=[self._weights])
-        share = len(task.header.updates)
-        if not (0 <= made <= share and bool(self._weights.isfinite().all())):
-            raise LinkError(f"invalid result: {made:g} of {share} updates, or weights that are not finite")
-        status = self.status
-        status.rounds, status.updates = status.rounds + 1, status.updates + int(made)
-        status.updates_per_second = made / max(1e-6, time.monotonic() - began)
-        return Result(int(made), self._weights)
-
-    def _exchange(self, *message: torch.Tensor, result: Optional[List[torch.Tensor]] = None) -> float:
-        """Send a message, and return the number in the worker's response."""
-        response = empty_response()
-        sent = self._link.send(*message)
-        # Waited for first: it fails at once if the worker has ended, which Gloo does not report for a pending send.
-        self._link.receive(response, *(result or [])).wait(self._timeout)
-        sent.wait(self._timeout)
-        self.status.bytes, self.status.seen = self._link.bytes, time.monotonic()
-        return float(response)
 
 
 class WorkerPool:
@@ -163,9 +63,9 @@ class WorkerPool:
         self.address = f"{address}:{port}"
         """Where workers join, as "host:port"."""
         self._changed = threading.Condition()
-        self._workers: List[Worker] = []  # with a link
-        self._ready: List[Worker] = []  # for the next round
-        self._busy: List[Worker] = []  # of the current round
+        self._workers: List[RemoteWorker] = []  # with a link
+        self._ready: List[RemoteWorker] = []  # for the next round
+        self._busy: List[RemoteWorker] = []  # of the current round
         self._closed = False
         self._gathered = False
         self._joins = threading.Thread(target=self._accept_workers, name="trainers", daemon=True)
@@ -276,10 +176,10 @@ class WorkerPool:
             worker.status.lag = max(0.0, worker.status.seen - now)
         return [worker.result for worker in finished if worker.result is not None]
 
-    def _pending(self) -> List[Worker]:
+    def _pending(self) -> List[RemoteWorker]:
         return [worker for worker in self._busy if worker.result is None and not worker.dropped]
 
-    def _drop(self, worker: Worker, reason: str) -> None:
+    def _drop(self, worker: RemoteWorker, reason: str) -> None:
         """Continue without a worker; log the reason, if any. Call it with the lock held."""
         if reason and not (worker.dropped or self._closed):
             LOG.warning("trainer worker %d dropped: %s; training continues without it", worker.status.slot, reason)
@@ -307,7 +207,7 @@ class WorkerPool:
         with self._changed:
             taken = {worker.status.slot for worker in self._workers}
             slot = next(slot for slot in range(1, len(taken) + 2) if slot not in taken)
-            worker = Worker(link, slot, LINK_TIMEOUT_FACTOR * self._timeout)
+            worker = RemoteWorker(link, slot, LINK_TIMEOUT_FACTOR * self._timeout)
             self._workers.append(worker)
         try:
             while worker.send_observations(self._observations, len(self._observations)) and not self._closed:
@@ -325,7 +225,7 @@ class WorkerPool:
             self._workers.remove(worker)
         link.close()
 
-    def _step(self, worker: Worker) -> bool:
+    def _step(self, worker: RemoteWorker) -> bool:
         """Exchange one message. Return False if the worker is dropped or the pool closed."""
         with self._changed:
             self._changed.wait_for(lambda: worker.task or worker.dropped or self._closed, _IDLE_PERIOD)

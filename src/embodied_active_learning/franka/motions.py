@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Callable, List, Sequence
 
 from embodied_active_learning.franka.mount import CameraPose
 from embodied_active_learning.franka.set_points import SetPointStream, Step
 
 
-class SetPointMotion:
-    """Brakes the set-point to rest; base class of the other motions."""
+class SetPointMotion(ABC):
+    """A motion, and how it has ended."""
 
     def __init__(self) -> None:
         self.aborted_by = ""  # why the motion has ended early
         self.needs_person = False  # whether only a person can resolve that
         self.limited = False
 
+    @abstractmethod
     def step(self, stream: SetPointStream, measured: CameraPose, period: float) -> Step:
         """Advance the set-point by a period [s]."""
+
+
+class Brake(SetPointMotion):
+    """Brakes the set-point to rest and holds it."""
+
+    def step(self, stream: SetPointStream, measured: CameraPose, period: float) -> Step:
+        """See SetPointMotion."""
         return stream.brake(measured, period)
 
 

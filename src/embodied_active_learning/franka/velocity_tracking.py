@@ -8,9 +8,9 @@ from typing import Callable, List, Sequence, Tuple
 import numpy as np
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.franka.driver import FrankaDriver
-from embodied_active_learning.franka.motions import SetPointMotion
+from embodied_active_learning.franka.motions import Brake
 from embodied_active_learning.franka.mount import CameraMount
+from embodied_active_learning.franka.set_point_driver import SetPointDriver
 from embodied_active_learning.franka.set_points import MAX_PERIOD, Tracking, level_limits
 from embodied_active_learning.franka.velocity_readiness import VelocityReadiness, why_not_ready
 from embodied_active_learning.motion_limits import MIN_PERIOD, MotionLimits
@@ -25,10 +25,10 @@ Twist = Tuple[Tuple[float, ...], Tuple[float, ...]]
 REST: Twist = (_ZERO, _ZERO)
 
 
-def velocity_driver(config: Config, clock: Callable[[], float]) -> FrankaDriver:
+def velocity_driver(config: Config, clock: Callable[[], float]) -> SetPointDriver:
     """Return a driver whose set-points a VelocityTracker follows. clock: returns the time [s]."""
     # Stop by braking: a velocity towards the measured pose, which is late, would hardly decay.
-    return FrankaDriver(config, clock, VelocityReadiness(config.franka, clock), why_not_ready, SetPointMotion)
+    return SetPointDriver(config, clock, VelocityReadiness(config.franka, clock), why_not_ready, Brake)
 
 
 class VelocityTracker:

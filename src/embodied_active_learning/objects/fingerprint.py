@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Dict, Optional, Tuple
 
 import numpy as np
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import TABLE, Config
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.naming import check_name
 from embodied_active_learning.objects.limits import Calibration
@@ -122,6 +122,12 @@ class FingerprintSet:
             raise ObservationError(f"duplicate fingerprint name in {', '.join(names)}: names must be unique")
         for fingerprint in self.fingerprints:
             _check_fits(fingerprint, self.config)
+
+    @property
+    def has_heights(self) -> bool:
+        """Whether all objects stand on the table, because prints were left out when the fingerprints were made."""
+        settings = self.config.fingerprint
+        return settings.clustering == TABLE and not settings.prints
 
 
 def _check_array(subject: str, array: Any, dtype: np.dtype, shape: Tuple[Any, ...], sizes: Dict[str, int]) -> None:

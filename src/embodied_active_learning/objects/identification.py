@@ -157,7 +157,7 @@ def _make_group(
     targets = []
     for fingerprint in fingerprint_set.fingerprints:
         grid = BeliefGrid(workspace, settings)
-        targets.append(SearchTarget(fingerprint_set, fingerprint, model, matcher.threshold, grid, settings))
+        targets.append(SearchTarget(fingerprint_set, fingerprint, model, matcher.threshold, grid, settings.error_rate))
     return matcher, targets
 
 

@@ -7,7 +7,6 @@ from typing import List
 
 import numpy as np
 
-from embodied_active_learning.config import TABLE, IdentificationConfig
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.bare_table import BareTable
@@ -28,7 +27,7 @@ class SearchTarget:
         model: TrainedModel,
         threshold: float,
         grid: BeliefGrid,
-        settings: IdentificationConfig,
+        error_rate: float,
     ) -> None:
         """Start a search.
 
@@ -38,15 +37,16 @@ class SearchTarget:
             model: The model of the set.
             threshold: Latent distance at which a measurement is 1/2.
             grid: The belief, at its prior.
-            settings: How to calibrate the decision.
+            error_rate: Error rate that its calibration has to allow.
         """
         self.session = fingerprint_set.session
         self.fingerprint = fingerprint
+        self.has_height = fingerprint_set.has_heights
         self.model = model
         self.threshold = threshold
         self.grid = grid
         self._set = fingerprint_set
-        self._settings = settings
+        self._error_rate = error_rate
         self._parts: List[Matches] = []
 
     @cached_property
@@ -55,24 +55,18 @@ class SearchTarget:
         return Appearance(self.fingerprint, self._set.fingerprints, self._set.config.camera)
 
     @property
-    def has_height(self) -> bool:
-        """Whether the object stands on the table, because prints were left out when its fingerprint was made."""
-        settings = self._set.config.fingerprint
-        return settings.clustering == TABLE and not settings.prints
-
-    @property
     def problem(self) -> str:
         """Why an object cannot be recognised, and the remedy; empty if it can, and of a blank."""
         if self.fingerprint.kind != OBJECT:
             return ""
         if self.appearance.problem:
             return self.appearance.problem
-        rate, smallest = self._settings.error_rate, self.calibration.smallest_error_rate
-        if rate >= smallest:
+        smallest = self.calibration.smallest_error_rate
+        if self._error_rate >= smallest:
             return ""
         return (
-            f"its limits hold for error rates from {smallest:.3g} on, not {rate:g}: raise fingerprint/trials and "
-            "call /fingerprint again"
+            f"its limits hold for error rates from {smallest:.3g} on, not {self._error_rate:g}: raise "
+            "fingerprint/trials and call /fingerprint again"
         )
 
     @property

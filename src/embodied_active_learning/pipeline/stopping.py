@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any, Dict, Mapping, Optional
 
@@ -53,10 +52,8 @@ class EarlyStop:
         model = TrainedModel(self._config, dict(learner.network.state_dict()))
         check = self._criterion.add(measure(self._config, model, evaluation, learner.loss_weights.coverage, stored))
         if check.stopped:
-            training = self._config.training
             # A planner in lock-step receives this model, and with it the decision, after that many observations.
-            awaited = evaluation.update + self._config.update_plan.per_refresh
-            awaiting = training.first_update_at - 1 + math.ceil(awaited / training.updates_per_observation)
+            awaiting = self._config.update_plan.observations_awaiting(evaluation.update)
             self.steps = min(self._config.exploration.steps, max(awaiting, len(stored.stamps)))
         self.newest = check
         return check

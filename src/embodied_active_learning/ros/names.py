@@ -47,6 +47,7 @@ CLUSTER_MARKERS = "cluster_markers"
 
 PLANNER_PAUSE = "planner/pause"
 PLANNER_RESUME = "planner/resume"
+PLANNER_RELEASE_PAUSE = "planner/release_pause"
 OBSERVATION = "observation"
 TARGET_DISTRIBUTION = "target_distribution"
 

@@ -60,7 +60,8 @@ def test_stop_by_other_node_lasts_until_recovery():
         pass
     with pytest.raises(ArmStoppedError, match="stopped by /operator"), arbiter.command(request("/ergodic_planner")):
         pass
-    arbiter.recover()
+    with arbiter.recovery():
+        pass
     with arbiter.command(request("/ergodic_planner")):
         pass
 
@@ -154,7 +155,8 @@ def test_stop_survives_restart_of_arm_node():
     arbiter = ArmArbiter(5.0, Clock(), stopped_by="/operator")
     with pytest.raises(ArmStoppedError, match="/operator"), arbiter.command(request("/ergodic_planner")):
         pass
-    arbiter.recover()
+    with arbiter.recovery():
+        pass
     with arbiter.command(request("/ergodic_planner")):
         pass
 
@@ -250,7 +252,8 @@ def test_heartbeat_of_stopped_arm_is_rejected():
     assert (arbiter.commander, arbiter.stopped_by) == ("", "/operator")
     with pytest.raises(ArmStoppedError, match="call /arm/recover"):
         arbiter.heartbeat(request("/ergodic_planner"))
-    arbiter.recover()
+    with arbiter.recovery():
+        pass
     assert arbiter.stopped_by == ""
 
 

@@ -8,8 +8,8 @@ import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, CommandError, ConfigError, RobotError
-from embodied_active_learning.franka.driver import FrankaDriver, Reached
 from embodied_active_learning.franka.report import RobotMode
+from embodied_active_learning.franka.set_point_driver import Reached, SetPointDriver
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm import driver_arm, server
 from embodied_active_learning.ros.arm.driver_arm import DriverArm
@@ -180,11 +180,11 @@ def test_hold_survives_restart_of_node(make, monkeypatch):
     stored = {}
     monkeypatch.setattr(server.persistent_parameters, "load", lambda name: stored[name]() if name in stored else "")
     monkeypatch.setattr(server.persistent_parameters, "store", stored.__setitem__)
-    driver = FrankaDriver(CONFIG)
+    driver = SetPointDriver(CONFIG)
     Arm(CONFIG, driver)
     assert stored[names.HELD_FOR]() == ""
     driver.update_state(1.0, 0.0, (0.0,) * 16, RobotMode.USER_STOPPED, (), ())
-    restarted = FrankaDriver(CONFIG)
+    restarted = SetPointDriver(CONFIG)
     Arm(CONFIG, restarted)
     with restarted.readiness() as readiness:
         assert readiness.held_for == "the user stop was pressed and has been released"

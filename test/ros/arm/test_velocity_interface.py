@@ -77,6 +77,15 @@ def test_robot_that_does_not_follow_is_returned(robot):
     assert not VelocityInterface(None).send(TWIST)
 
 
+def test_robot_is_assumed_to_follow_just_after_a_start(robot, monkeypatch):
+    interface = VelocityInterface(None)
+    interface.start(100.0)
+    robot.follows = False
+    assert interface.send(TWIST)
+    monkeypatch.setattr(velocity_interface, "GRACE", -1.0)
+    assert not interface.send(TWIST)
+
+
 def test_velocities_share_one_connection_until_it_is_lost(robot):
     interface = VelocityInterface(None)
     interface.send(TWIST)

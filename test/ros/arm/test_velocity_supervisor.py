@@ -24,7 +24,6 @@ class Lab:
     def __init__(self):
         self.now = 10.0
         self.speed = 0.0  # m/s along x
-        self.errors = ()
         self.sends_poses = True
         self.starts = 0  # of the controller
         self._transform = np.eye(4)
@@ -54,7 +53,7 @@ class Lab:
             self._transform[0, 3] += 0.05 * self.speed
             pose = self._transform.T.ravel()
             if self.sends_poses:
-                self.driver.update_state(self.now, 0.0, pose, RobotMode.OTHER, self.errors, ())
+                self.driver.update_state(self.now, 0.0, pose, RobotMode.OTHER)
             self.driver.tick()
         return not self.driver.why_not_ready()
 
@@ -77,9 +76,8 @@ def test_controller_is_started_only_at_rest(lab):
 
 def test_recovery_of_moving_arm_is_rejected(lab):
     lab.supervisor.check()
-    lab.errors = ("stopped",)
+    lab.driver.update_control(errors=("stopped",))
     lab.moves(0.02)
-    lab.errors = ()
     with pytest.raises(ArmNotReadyError, match="the arm is not known to be at rest"):
         lab.supervisor.recover()
     assert lab.starts == 1

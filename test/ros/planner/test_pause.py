@@ -35,8 +35,8 @@ class Planner:
             self.failing_calls -= 1
             self.requests = PauseRequests(self.requests.text)  # it has restarted
             raise EmbodiedActiveLearningError(f"{name} did not respond")
-        change = self.requests.add if name == names.PLANNER_PAUSE else self.requests.release
-        change("/fingerprinter")
+        changes = {names.PLANNER_PAUSE: self.requests.add, names.PLANNER_RELEASE_PAUSE: self.requests.release}
+        changes[name]("/fingerprinter")
         return TriggerResponse(True, "")
 
     def load(self, name):

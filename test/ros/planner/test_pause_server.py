@@ -8,20 +8,20 @@ def test_person_pause_outlasts_fingerprinter_pause():
     assert requests.add("/fingerprinter")
     assert not requests.add("/rosservice_1")
     assert not requests.release("/fingerprinter")
-    assert requests.release("/rosservice_2"), "a person's next call has another name"
+    assert requests.resume("/rosservice_2"), "a person's next call has another name"
 
 
-def test_person_can_release_pause_of_dead_node():
+def test_person_can_end_pause_of_dead_node():
     requests = PauseRequests()
     requests.add("/fingerprinter")
-    assert requests.release("/rosservice_1")
+    assert requests.resume("/rosservice_1")
     assert requests.text == ""
 
 
 def test_node_released_by_person_ends_no_later_pause():
     requests = PauseRequests()
     requests.add("/fingerprinter")
-    requests.release("/rosservice_1")
+    requests.resume("/rosservice_1")
     requests.add("/rosservice_2")
     assert not requests.release("/fingerprinter")
     assert requests.text == "/rosservice_2"
@@ -30,22 +30,23 @@ def test_node_released_by_person_ends_no_later_pause():
 def test_node_released_by_person_can_pause_again():
     requests = PauseRequests()
     requests.add("/fingerprinter")
-    requests.release("/rosservice_1")
+    requests.resume("/rosservice_1")
     requests.add("/fingerprinter")
     assert requests.release("/fingerprinter")
 
 
 def test_person_can_end_a_pause_after_another_one():
-    """Unlike a fingerprinter, which resumes automatically: rqt has the same name in all calls."""
+    """rqt has the same name in all calls."""
     requests = PauseRequests()
     requests.add("/rqt")
-    requests.release("/rosservice_1")
+    requests.resume("/rosservice_1")
     requests.add("/fingerprinter")
-    assert requests.release("/rqt")
+    assert requests.resume("/rqt")
 
 
 def test_release_without_pause_changes_nothing():
     assert not PauseRequests().release("/fingerprinter")
+    assert not PauseRequests().resume("/rosservice_1")
 
 
 def test_pause_requests_restored_from_text():

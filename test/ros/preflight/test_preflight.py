@@ -16,10 +16,9 @@ from embodied_active_learning.geometry import fixed_axes_rotation, intrinsics, o
 from embodied_active_learning.ros.conversions import camera_info_message
 from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
 from embodied_active_learning.ros.preflight.check_result import (
-    ExitCode,
     Level,
     error,
-    exit_code,
+    most_severe,
     ok,
     summary,
     warning,
@@ -40,7 +39,7 @@ def with_franka(**changes):
 
 
 def levels(results):
-    return [result.level.value for result in results]
+    return [result.level.name for result in results]
 
 
 @pytest.mark.parametrize(
@@ -53,14 +52,10 @@ def test_robot_profile_names_the_robot(tmp_path, profile, expected):
     assert config.arm.robot == expected
 
 
-def test_summary_and_exit_code_of_the_most_severe_result():
+def test_summary_and_exit_status_of_the_most_severe_result():
     good, doubt = ok("disk", "enough"), warning("focus", "soft", "reason", "remedy")
     bad = error("arm", "missing", "reason", "remedy")
-    assert [exit_code(results) for results in ([good], [good, doubt], [good, doubt, bad])] == [
-        ExitCode.OK,
-        ExitCode.WARNING,
-        ExitCode.ERROR,
-    ]
+    assert [most_severe(results).value for results in ([good], [good, doubt], [good, doubt, bad])] == [0, 2, 1]
     assert summary([good]) == "ready (1 of 1 checks OK)"
     assert summary([good, doubt]) == "ready (warnings: focus)"
     assert summary([good, doubt, bad]) == "not ready (errors: arm; warnings: focus)"
@@ -90,7 +85,7 @@ def test_error_has_reason_and_remedy():
 )
 def test_topic_publisher_rate_and_age(statistics, limits, level, message):
     result = check_topic("topic", statistics, "reason", "start it", limits)
-    assert result.level.value == level
+    assert result.level.name == level
     assert message in result.message
 
 
@@ -143,7 +138,7 @@ def test_poor_image_is_a_warning(image, name, remedy):
 )
 def test_camera_matrix_is_compared_with_settings(degrees, size, level):
     info = camera_info_message(rospy.Time(), intrinsics(size[1], size[0], degrees), *size)
-    assert images.check_camera_matrix(info, CONFIG.camera).level.value == level
+    assert images.check_camera_matrix(info, CONFIG.camera).level.name == level
 
 
 def test_missing_camera_matrix_is_an_error():
@@ -184,7 +179,7 @@ def test_wrong_camera_geometry_is_a_warning(changes, words):
 )
 def test_robot_mode_errors_and_success_rate(mode, errors, rate, expected):
     results = robot.check_robot_state(mode, errors, rate)
-    assert {result.name: result.level.value for result in results} == expected
+    assert {result.name: result.level.name for result in results} == expected
     assert all(name in results[0].message for name in errors)
 
 
@@ -241,7 +236,7 @@ def camera_pose(position, tilt, config=FRANKA):
     ],
 )
 def test_camera_pose_limits_of_height_tilt_and_workspace(position, tilt, level):
-    assert robot.check_camera_pose(camera_pose(position, tilt), FRANKA).level.value == level
+    assert robot.check_camera_pose(camera_pose(position, tilt), FRANKA).level.name == level
 
 
 def test_camera_height_is_measured_from_the_table():
@@ -329,7 +324,7 @@ def test_full_disk_is_an_error(tmp_path):
 )
 def test_gpu_must_exist_and_compute(device, gpu, problem, level):
     result = computer.check_device(device, gpu, problem, 2)
-    assert result.level.value == level
+    assert result.level.name == level
     assert problem in result.message
 
 
@@ -352,7 +347,7 @@ def test_other_python_on_path_is_a_warning():
     ],
 )
 def test_clock_is_simulated_iff_the_robot_is(simulated, published, robot_name, level):
-    assert computer.check_clock(simulated, published, robot_name).level.value == level
+    assert computer.check_clock(simulated, published, robot_name).level.name == level
 
 
 HERE = Peer("/trainer", "10.77.0.2", "", local=True)
@@ -380,7 +375,7 @@ STALE = VM._replace(host="192.168.77.5", is_local=False)
     ],
 )
 def test_own_address_is_reachable_for_other_computers(own, environment, master_is_local, peers, level):
-    assert network.check_own_address(own, environment, master_is_local, peers).level.value == level
+    assert network.check_own_address(own, environment, master_is_local, peers).level.name == level
     assert network.check_peers(peers).level is Level.OK
 
 

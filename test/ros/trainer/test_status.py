@@ -7,7 +7,7 @@ import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.distributed.pool import WorkerStatus
+from embodied_active_learning.distributed.remote_worker import WorkerStatus
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, OK, WARN
 from embodied_active_learning.ros.rviz.markers import BLANK_COLOUR, FOUND_COLOUR, OBJECT_COLOUR

@@ -21,7 +21,7 @@ class ArmArbiter:
     """Grants control of the arm to its commander until that has been silent for a timeout (wall seconds).
 
     Any node may stop the arm. If its commander does, the arm is free at once; if another node does, commands are
-    rejected until recover is called.
+    rejected until a recovery has succeeded.
     """
 
     def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic, stopped_by: str = "") -> None:
@@ -160,11 +160,6 @@ class ArmArbiter:
             if self._stops == stops:
                 self._stopped_by = ""
             self._require_not_stopped()
-
-    def recover(self) -> None:
-        """Accept commands again, at once."""
-        with self.recovery():
-            pass
 
     def _begin(self, caller: str) -> StopSignal:
         with self._lock:

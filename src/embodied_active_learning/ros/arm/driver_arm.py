@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from abc import abstractmethod
 from contextlib import suppress
-from typing import Callable, ClassVar, Dict, Sequence
+from typing import Callable, ClassVar, Dict, Optional, Sequence
 
 import rospy
 
 from embodied_active_learning.arm_requests import StopSignal
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, ConfigError
-from embodied_active_learning.franka.driver import FrankaDriver, Reached
+from embodied_active_learning.franka.set_point_driver import Reached, SetPointDriver
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.config_check import ConfigCheck
@@ -33,7 +33,7 @@ class DriverArm(ArmServer):
     ROBOT: ClassVar[str]
     """The value of arm/robot that the node is for."""
 
-    def __init__(self, config: Config, driver: FrankaDriver) -> None:
+    def __init__(self, config: Config, driver: SetPointDriver) -> None:
         """Raises ConfigError if the configuration is for another robot."""
         if config.arm.robot != self.ROBOT:
             raise ConfigError(
@@ -89,7 +89,7 @@ class DriverArm(ArmServer):
         stamp: rospy.Time,
         end_effector: Sequence[float],
         mode: int,
-        errors: Sequence[str],
+        errors: Optional[Sequence[str]] = None,
         last_errors: Sequence[str] = (),
     ) -> bool:
         """Pass a state of the robot on to the driver and publish the camera's; return whether it is usable.
@@ -98,7 +98,7 @@ class DriverArm(ArmServer):
             stamp: Of the state.
             end_effector: O_T_EE, (16,) column by column.
             mode: franka_msgs/FrankaState.robot_mode.
-            errors: Names of the present errors.
+            errors: Names of the present errors; None if the robot does not report them.
             last_errors: Names of the errors that ended the last motion.
         """
         delay = (rospy.Time.now() - stamp).to_sec()

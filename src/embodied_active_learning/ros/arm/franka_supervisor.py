@@ -10,8 +10,8 @@ import rospy
 
 from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import ArmNotReadyError, RobotError
-from embodied_active_learning.franka.driver import FrankaDriver
 from embodied_active_learning.franka.report import CONTROLLER, Condition
+from embodied_active_learning.franka.set_point_driver import SetPointDriver
 from embodied_active_learning.ros.arm.franka_interface import FrankaInterface
 from embodied_active_learning.ros.arm.requested_recovery import requested_recovery
 from embodied_active_learning.ros.runtime.timers import WallTimer
@@ -34,7 +34,7 @@ class FrankaSupervisor:
     stopped only at rest, for settings that the robot accepts only without a controller.
     """
 
-    def __init__(self, interface: FrankaInterface, driver: FrankaDriver, config: FrankaConfig) -> None:
+    def __init__(self, interface: FrankaInterface, driver: SetPointDriver, config: FrankaConfig) -> None:
         self._interface = interface
         self._driver = driver
         self._config = config

@@ -7,14 +7,14 @@ from contextlib import contextmanager
 from typing import Iterator
 
 from embodied_active_learning.errors import ArmNotReadyError
-from embodied_active_learning.franka.driver import FrankaDriver
+from embodied_active_learning.franka.set_point_driver import SetPointDriver
 
 LOCK_TIMEOUT = 5.0
 """Wall seconds that a preparation or recovery in progress may take to end."""
 
 
 @contextmanager
-def requested_recovery(driver: FrankaDriver, lock: threading.Lock) -> Iterator[None]:
+def requested_recovery(driver: SetPointDriver, lock: threading.Lock) -> Iterator[None]:
     """Hold a supervisor's lock during the block, and hold the robot if the block fails.
 
     The person sees that it failed, and may approach: the robot must not become ready automatically later.

@@ -26,6 +26,8 @@ from embodied_active_learning.srv import (
 _START_TIMEOUT, _START_PERIOD = 3.0, 0.5  # s of wall time: the success rate covers the last cycles, also those at rest
 _MIN_SEND_TIMEOUT, _SEND_STEPS = 0.3, 2.0  # s of wall time, and steps of the controller
 _UNCHANGED = -1.0  # brightness
+GRACE = 1.0
+"""s after a start of the controller in which the success rate still covers the time before it."""
 MIN_REQUESTS = 3.0
 """Requests per step of the controller (/dt): it lets the velocity decay after two steps without a request."""
 
@@ -35,6 +37,7 @@ class VelocityInterface:
 
     def __init__(self, on_pose: Callable[[PoseStamped], None]) -> None:
         """on_pose is called with each pose of the end effector as it arrives, in a thread of rospy."""
+        self._started_at = -math.inf  # monotonic time of the last start of the controller
         self._command = TimedService(names.VELOCITY_COMMAND, UpdateVelocity, _MIN_SEND_TIMEOUT)
         self._subscriber = rospy.Subscriber(
             names.END_EFFECTOR_POSE, PoseStamped, on_pose, queue_size=1, tcp_nodelay=True
@@ -65,11 +68,16 @@ class VelocityInterface:
             time.sleep(_START_PERIOD)
         with _remedy():  # it may hang although the start was accepted
             call_within(self._command.timeout, names.VELOCITY_COMMAND, UpdateVelocity, _request(REST))
+        self._started_at = time.monotonic()
 
     def send(self, twist: EndEffectorTwist) -> bool:
-        """Set the velocity of the end effector; return whether the robot follows. Raises ServiceError."""
+        """Set the velocity of the end effector; return whether the robot follows, assumed for GRACE after a start.
+
+        Raises ServiceError.
+        """
         with _remedy():
-            return bool(self._command.call(_request(twist)).success)
+            follows = bool(self._command.call(_request(twist)).success)
+        return follows or time.monotonic() <= self._started_at + GRACE
 
     @staticmethod
     def _call_start() -> bool:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import rospy
 
 from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import ArmNotReadyError, RobotError, ServiceError
-from embodied_active_learning.franka.driver import FrankaDriver
+from embodied_active_learning.franka.set_point_driver import SetPointDriver
 from embodied_active_learning.ros.arm.requested_recovery import requested_recovery
 from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
 from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
@@ -23,13 +22,12 @@ _READY_TIMEOUT = 2.0  # s
 class VelocitySupervisor:
     """Keeps the arm ready where no person is needed. It switches controllers only while the arm is at rest."""
 
-    def __init__(self, interface: VelocityInterface, driver: FrankaDriver, config: FrankaConfig) -> None:
+    def __init__(self, interface: VelocityInterface, driver: SetPointDriver, config: FrankaConfig) -> None:
         self._interface = interface
         self._driver = driver
         self._config = config
         self._lock = threading.Lock()  # held by the thread that makes the robot do something
         self._throttle = LogThrottle()
-        self.started_at = 0.0  # monotonic time of the last start of the controller
         WallTimer(PERIOD, self.check)
 
     def check(self) -> None:
@@ -81,7 +79,6 @@ class VelocitySupervisor:
 
     def _start(self) -> None:
         self._interface.start(self._config.rate)
-        self.started_at = time.monotonic()
         with self._driver.readiness() as readiness:
             readiness.set_prepared()
         rospy.loginfo("velocity controller started")

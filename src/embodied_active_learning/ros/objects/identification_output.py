@@ -1,4 +1,4 @@
-"""Publishes the outputs of the identification: beliefs, decisions, found and unknown objects, and markers for rviz."""
+"""Publishes the outputs of the identification: beliefs, decisions, objects, open places, markers for rviz."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Dict, Sequence
 
 import numpy as np
 import rospy
+from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import OccupancyGrid
 from scipy.interpolate import RegularGridInterpolator
 from std_msgs.msg import Header
@@ -18,7 +19,7 @@ from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.conversions import occupancy_grid_message
+from embodied_active_learning.ros.conversions import occupancy_grid_message, pose_message
 from embodied_active_learning.ros.objects.found_objects import FoundObjects
 from embodied_active_learning.ros.objects.messages import belief_message
 from embodied_active_learning.ros.rviz.belief_markers import belief_markers
@@ -26,13 +27,15 @@ from embodied_active_learning.ros.rviz.object_markers import decision_markers
 
 
 class IdentificationOutput:
-    """Latched publishers of beliefs and decisions; beliefs on the way are published for subscribers only."""
+    """Latched publishers of the results; beliefs on the way are published for subscribers only."""
 
     def __init__(self) -> None:
         """Advertise the topics; those of the grids once their fingerprints are known."""
         self._beliefs = rospy.Publisher(names.BELIEFS, BeliefArray, queue_size=1, latch=True)
         self._markers = rospy.Publisher(names.DECISION_MARKERS, MarkerArray, queue_size=1, latch=True)
         self._reliefs = rospy.Publisher(names.BELIEF_MARKERS, MarkerArray, queue_size=1, latch=True)
+        self._open_places = rospy.Publisher(names.OPEN_PLACES, PoseArray, queue_size=1, latch=True)
+        self._published_places: np.ndarray = np.empty((0, 2))
         self._found = FoundObjects()
         self._grids: Dict[str, rospy.Publisher] = {}
 
@@ -41,6 +44,13 @@ class IdentificationOutput:
         self._publish_grids(targets, always=False)
         if self._beliefs.get_num_connections():
             self._publish_array(targets, images, (), finished=False)
+
+    def publish_open_places(self, places: np.ndarray) -> None:
+        """Publish the places (P, 2) [m] that need more views, unless they are those published last."""
+        if not np.array_equal(places, self._published_places):
+            poses = [pose_message([*place, 0.0]) for place in places]
+            self._open_places.publish(PoseArray(Header(stamp=rospy.Time.now(), frame_id=names.FRAMES.base), poses))
+            self._published_places = places
 
     def publish_result(
         self,

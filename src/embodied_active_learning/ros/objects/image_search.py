@@ -13,11 +13,10 @@ from embodied_active_learning.errors import EmbodiedActiveLearningError, Session
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.pipeline.identification import IdentificationRun, read_sets
 from embodied_active_learning.ros.objects.identification_output import IdentificationOutput
-from embodied_active_learning.ros.planner.open_places import OpenPlacesPublisher
-from embodied_active_learning.ros.planner.trainer_client import save_model
 from embodied_active_learning.ros.runtime.diagnostics import Rate
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 from embodied_active_learning.ros.runtime.task_server import TaskProgress
+from embodied_active_learning.ros.trainer.client import save_model
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import find_session, session_path, session_root
@@ -36,7 +35,6 @@ class ImageSearch:
         self._config = config
         self._root = session_root(config)
         self._outputs = IdentificationOutput()
-        self._open_places = OpenPlacesPublisher()
         self.images = Rate()
 
     def open_run(
@@ -104,7 +102,7 @@ class ImageSearch:
             count = run.advance()
             if count:
                 self.images.tick(count)
-                self._open_places.publish(run.identification.open_places)
+                self._outputs.publish_open_places(run.identification.open_places)
             wall_sleep(0.0 if count else _POLL_PERIOD)
             progress.report("searching", run.processed, run.images)
             if time.monotonic() >= log_at:

@@ -1,1 +1,1 @@
-"""The planner node: trainer client, publishers, pause services and resume."""
+"""The planner node: publishers, pause services and resume."""

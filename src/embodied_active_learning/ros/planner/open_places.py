@@ -1,30 +1,12 @@
-"""Places about which an identification needs more views, from the identifier to the planner."""
+"""Places about which an identification needs more views, as the identifier publishes them."""
 
 from __future__ import annotations
 
 import numpy as np
 import rospy
 from geometry_msgs.msg import PoseArray
-from std_msgs.msg import Header
 
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.conversions import pose_message
-
-
-class OpenPlacesPublisher:
-    """Publishes the places, latched, whenever they change."""
-
-    def __init__(self) -> None:
-        """Advertise the topic."""
-        self._publisher = rospy.Publisher(names.OPEN_PLACES, PoseArray, queue_size=1, latch=True)
-        self._published: np.ndarray = np.empty((0, 2))
-
-    def publish(self, places: np.ndarray) -> None:
-        """Publish places (P, 2) [m] unless they are those published last."""
-        if not np.array_equal(places, self._published):
-            poses = [pose_message([*place, 0.0]) for place in places]
-            self._publisher.publish(PoseArray(Header(stamp=rospy.Time.now(), frame_id=names.FRAMES.base), poses))
-            self._published = places
 
 
 class OpenPlaces:

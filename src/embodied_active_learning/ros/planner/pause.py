@@ -13,8 +13,8 @@ from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 from embodied_active_learning.ros.runtime.services import is_advertised, trigger_if_advertised
 
-_RESUME_ATTEMPTS = 15
-_RESUME_PERIOD = 1.0
+_RELEASE_ATTEMPTS = 15
+_RELEASE_PERIOD = 1.0
 """Wall seconds between two attempts; all of them outlast a restart of the planner."""
 _PAUSED = "paused"
 
@@ -30,8 +30,11 @@ class PlannerPause:
     def resume_if_left(self) -> None:
         """Resume a planner that this node had paused when it was killed. Raises ShutdownRequestedError."""
         if self._left_paused:
-            wait_until(lambda: is_advertised(names.PLANNER_RESUME), lambda: rospy.resolve_name(names.PLANNER_RESUME))
-            self._resume()
+            wait_until(
+                lambda: is_advertised(names.PLANNER_RELEASE_PAUSE),
+                lambda: rospy.resolve_name(names.PLANNER_RELEASE_PAUSE),
+            )
+            self._release()
             self._left_paused = False
 
     @contextmanager
@@ -44,35 +47,35 @@ class PlannerPause:
         try:
             response = trigger_if_advertised(names.PLANNER_PAUSE)
         except EmbodiedActiveLearningError:
-            self._resume_after_lost_response()
+            self._release_after_lost_response()
             raise
         self._has_paused = self._has_paused or (response is not None and response.success)
         try:
             yield
         finally:
             if self._has_paused:
-                self._resume()
+                self._release()
 
-    def _resume_after_lost_response(self) -> None:
+    def _release_after_lost_response(self) -> None:
         """End a pause whose response was lost: the planner stores the request before it responds."""
-        wall_sleep(_RESUME_PERIOD)  # until the request is stored
-        if _is_paused_by_this_node():  # else the planner would end the pauses of all others
+        wall_sleep(_RELEASE_PERIOD)  # until the request is stored
+        if _is_paused_by_this_node():
             self._has_paused = True
-            self._resume()
+            self._release()
 
-    def _resume(self) -> None:
-        for attempt in range(_RESUME_ATTEMPTS):
+    def _release(self) -> None:
+        for attempt in range(_RELEASE_ATTEMPTS):
             if attempt:
-                wall_sleep(_RESUME_PERIOD)
+                wall_sleep(_RELEASE_PERIOD)
             try:
-                response = trigger_if_advertised(names.PLANNER_RESUME)
+                response = trigger_if_advertised(names.PLANNER_RELEASE_PAUSE)
                 if response is not None or not _is_paused_by_this_node():  # else the planner is restarting
                     self._has_paused = False
                     return
             except EmbodiedActiveLearningError as error:
                 rospy.logwarn("cannot resume the planner: %s", error)
-        name = rospy.resolve_name(names.PLANNER_RESUME)
-        rospy.logerr("the planner is still paused: %s does not respond; call it again", name)
+        release, resume = map(rospy.resolve_name, (names.PLANNER_RELEASE_PAUSE, names.PLANNER_RESUME))
+        rospy.logerr("the planner is still paused: %s does not respond; call %s", release, resume)
 
 
 def _is_paused_by_this_node() -> bool:

@@ -1,9 +1,9 @@
-"""The planner's pause and resume services."""
+"""The planner's services to pause, to resume and to release a pause."""
 
 from __future__ import annotations
 
 import threading
-from typing import Any, Set
+from typing import Any, Callable, Set
 
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
@@ -14,23 +14,19 @@ from embodied_active_learning.ros.arm.retrying_arm import RetryingArm
 from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.services import name_of_caller
 
-_FINGERPRINTER = "fingerprinter"
-
 
 class PauseRequests:
     """Names of the nodes that have paused the planner; it is paused while there is one.
 
-    A node that has paused the planner releases its own request only, so that a person's pause outlasts that of a
-    fingerprinter, whichever came first. Any other caller releases all requests: each rosservice call of a person has
-    another node name, and a pause must not outlast a node that died. A fingerprinter whose request another caller has
-    released releases nothing when it resumes automatically: a person may have paused the planner again meanwhile.
+    A node that pauses for a task releases its own request at the end, so that a person's pause outlasts the task.
+    A person resumes: that releases the caller's own request, or else all. Each rosservice call has another node name,
+    and a pause must not outlast a node that died.
     """
 
     def __init__(self, text: str = "") -> None:
         """Restore the requests from the `text` of earlier ones."""
         self._lock = threading.Lock()
         self._names: Set[str] = set(text.split())
-        self._released: Set[str] = set()  # fingerprinters' that another caller released, until they resume
 
     @property
     def text(self) -> str:
@@ -43,24 +39,26 @@ class PauseRequests:
         with self._lock:
             is_first = not self._names
             self._names.add(name)
-            self._released.discard(name)
             return is_first
 
     def release(self, name: str) -> bool:
-        """Release a node's request, see above; return whether this has ended a pause."""
+        """Release a node's own request; return whether this has ended a pause."""
         with self._lock:
-            if name in self._released:
-                self._released.remove(name)
-                return False
-            ended = {name} if name in self._names else self._names
-            self._released |= {one for one in ended - {name} if one.rsplit("/", 1)[-1] == _FINGERPRINTER}
-            was_paused = bool(self._names)
-            self._names = self._names - ended
-            return was_paused and not self._names
+            return self._remove({name})
+
+    def resume(self, name: str) -> bool:
+        """Release a node's own request, or all if it has none; return whether this has ended a pause."""
+        with self._lock:
+            return self._remove({name} if name in self._names else self._names)
+
+    def _remove(self, ended: Set[str]) -> bool:
+        was_paused = bool(self._names)
+        self._names = self._names - ended
+        return was_paused and not self._names
 
 
 class PauseServer:
-    """Offers /planner/pause and /planner/resume, which hold back the commands of a RetryingArm.
+    """Offers /planner/pause, /planner/resume and /planner/release_pause, which hold back a RetryingArm's commands.
 
     Requests survive a restart of the node.
     """
@@ -75,9 +73,10 @@ class PauseServer:
         persistent_parameters.store(names.PAUSED_BY, lambda: self._requests.text)
 
     def advertise(self) -> None:
-        """Advertise both services."""
+        """Advertise the services."""
         rospy.Service(names.PLANNER_PAUSE, Trigger, self.pause)
         rospy.Service(names.PLANNER_RESUME, Trigger, self.resume)
+        rospy.Service(names.PLANNER_RELEASE_PAUSE, Trigger, self.release)
 
     def set_complete(self) -> None:
         """Reject pauses from now on: exploration is complete."""
@@ -98,9 +97,16 @@ class PauseServer:
         return TriggerResponse(True, message)
 
     def resume(self, request: Any) -> TriggerResponse:
-        """Release a pause; success if the planner resumes."""
+        """End the caller's pause, or all if it has none; success if the planner resumes."""
+        return self._end_pause(self._requests.resume, request)
+
+    def release(self, request: Any) -> TriggerResponse:
+        """End the caller's pause; success if the planner resumes."""
+        return self._end_pause(self._requests.release, request)
+
+    def _end_pause(self, end: Callable[[str], bool], request: Any) -> TriggerResponse:
         with self._lock:
-            if self._requests.release(name_of_caller(request)):
+            if end(name_of_caller(request)):
                 self._arm.resume()
                 return TriggerResponse(True, "exploring")
         others = self._requests.text

@@ -8,19 +8,11 @@ from typing import List, Sequence
 
 
 class Level(enum.Enum):
-    """Severity of a check result."""
-
-    OK = "OK"
-    WARNING = "WARNING"  # a run can start; its result may be worse
-    ERROR = "ERROR"  # a run cannot start, or its result would be useless
-
-
-class ExitCode(enum.IntEnum):
-    """Exit codes of the preflight script."""
+    """Severity of a check result; the value of the most severe one is the exit status of the preflight script."""
 
     OK = 0
-    ERROR = 1
-    WARNING = 2
+    WARNING = 2  # a run can start; its result may be worse
+    ERROR = 1  # a run cannot start, or its result would be useless
 
 
 @dataclass(frozen=True)
@@ -42,7 +34,7 @@ class CheckResult:
 
     def describe(self) -> str:
         """Return one line, with two more for a warning or error."""
-        lines = [f"{self.level.value:8}{self.name:24}{self.message}"]
+        lines = [f"{self.level.name:8}{self.name:24}{self.message}"]
         if self.level is not Level.OK:
             lines += [f"{'':10}reason: {self.reason}", f"{'':10}remedy: {self.remedy}"]
         return "\n".join(lines)
@@ -81,8 +73,7 @@ def summary(results: Sequence[CheckResult]) -> str:
     return f"ready ({'; '.join(parts)})" if warnings else f"ready ({len(results)} of {len(results)} checks OK)"
 
 
-def exit_code(results: Sequence[CheckResult]) -> ExitCode:
-    """Return the code of the most severe result."""
-    if names_at(results, Level.ERROR):
-        return ExitCode.ERROR
-    return ExitCode.WARNING if names_at(results, Level.WARNING) else ExitCode.OK
+def most_severe(results: Sequence[CheckResult]) -> Level:
+    """Return the level of the most severe result."""
+    found = {result.level for result in results}
+    return next((level for level in (Level.ERROR, Level.WARNING) if level in found), Level.OK)

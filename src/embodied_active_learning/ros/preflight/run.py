@@ -25,7 +25,7 @@ from embodied_active_learning.hardware_config import arm_of
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.config_check import require_matching_config
 from embodied_active_learning.ros.preflight import computer
-from embodied_active_learning.ros.preflight.check_result import CheckResult, ExitCode, error, exit_code, ok, summary
+from embodied_active_learning.ros.preflight.check_result import CheckResult, Level, error, most_severe, ok, summary
 from embodied_active_learning.ros.preflight.ros_graph import read_graph
 from embodied_active_learning.ros.preflight.system import System
 from embodied_active_learning.ros.runtime.master import connection_error
@@ -59,8 +59,8 @@ class PreflightReport:
             self.add(result)
 
 
-def run(arguments: List[str], robot_profile: str, seconds: float, write: Callable[[str], None]) -> ExitCode:
-    """Run all checks; write their results and a summary.
+def run(arguments: List[str], robot_profile: str, seconds: float, write: Callable[[str], None]) -> Level:
+    """Run all checks; write their results and a summary, and return the level of the most severe one.
 
     Args:
         arguments: command line, for rospy.
@@ -99,7 +99,7 @@ def run(arguments: List[str], robot_profile: str, seconds: float, write: Callabl
         if not problem:
             check_system(report, config, seconds)
     write(summary(report.results))
-    return exit_code(report.results)
+    return most_severe(report.results)
 
 
 def find_config(robot_profile: str, has_master: bool) -> Tuple[Config, List[CheckResult]]:

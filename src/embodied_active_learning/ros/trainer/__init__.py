@@ -1,1 +1,1 @@
-"""The trainer node: services and status of a TrainingRun."""
+"""Services and status of a TrainingRun, and the client of these services."""

@@ -10,7 +10,7 @@ import rospy
 from visualization_msgs.msg import MarkerArray
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.distributed.pool import WorkerStatus
+from embodied_active_learning.distributed.remote_worker import WorkerStatus
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.model.learner import UpdateReport
 from embodied_active_learning.msg import TrainingStatus

@@ -1,4 +1,4 @@
-"""Driver of the Panda: carries out commands as a stream of set-points, one per tick, without ROS.
+"""Driver of a real arm by set-points: carries out commands as a stream of set-points, one per tick, without ROS.
 
 Three kinds of threads meet here: one calls `tick`, one `update_state`, and those that command the arm wait. On any
 failure no set-point is sent any more: the controller then holds the last one, which is within franka/max_lead of the
@@ -19,7 +19,7 @@ from embodied_active_learning.arm_requests import StopSignal, checked_duration, 
 from embodied_active_learning.config import Config, FrankaConfig
 from embodied_active_learning.errors import ArmFailedError, ArmNotReadyError, ArmStoppedError, ObservationError
 from embodied_active_learning.franka.explanation import why_not_ready
-from embodied_active_learning.franka.motions import GoTo, Move, Retreat, SetPointMotion
+from embodied_active_learning.franka.motions import Brake, GoTo, Move, Retreat, SetPointMotion
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.readiness import TICK_TIMEOUT, Readiness
 from embodied_active_learning.franka.report import Condition, Report
@@ -46,7 +46,7 @@ class Reached(NamedTuple):
     limited: bool
 
 
-class FrankaDriver:
+class SetPointDriver:
     """Moves the arm for one command at a time, while other threads call update_state and tick."""
 
     def __init__(
@@ -78,7 +78,7 @@ class FrankaDriver:
         self._received_at: Optional[float] = None
         self._stamp = 0.0
         self._jump = ""
-        self._motion = SetPointMotion()
+        self._motion: SetPointMotion = Brake()
         self._ticked_at = self._controlled_at = clock()
         self._displaced = False
         self.jumps = 0
@@ -97,8 +97,8 @@ class FrankaDriver:
         delay: float,
         end_effector: Sequence[float],
         mode: int,
-        errors: Sequence[str],
-        last_errors: Sequence[str],
+        errors: Optional[Sequence[str]] = None,
+        last_errors: Sequence[str] = (),
     ) -> Optional[Reached]:
         """Process a state of the robot.
 
@@ -107,7 +107,7 @@ class FrankaDriver:
             delay: Of the stamp behind this computer's clock at arrival, s.
             end_effector: O_T_EE, (16,) column by column.
             mode: franka_msgs/FrankaState.robot_mode.
-            errors: Names of the present errors.
+            errors: Names of the present errors; None leaves those of `update_control`.
             last_errors: Names of the errors that ended the last motion.
 
         Returns:
@@ -125,7 +125,11 @@ class FrankaDriver:
             else:
                 self._add_pose(stamp, pose)
             self._report = self._report._replace(
-                problem=problem, mode=mode, errors=tuple(errors), last_errors=tuple(last_errors), delay=delay
+                problem=problem,
+                mode=mode,
+                errors=self._report.errors if errors is None else tuple(errors),
+                last_errors=tuple(last_errors),
+                delay=delay,
             )
             self._stamp = stamp
             self._changed.notify_all()
@@ -198,9 +202,9 @@ class FrankaDriver:
             while not self._has_arrived(target):
                 self._wait(motion, stop, deadline)
                 if self._clock() >= deadline:
-                    self._motion = SetPointMotion()
+                    self._motion = Brake()
                     raise ArmFailedError(self._why_not_reached(target, timeout))
-            self._motion = SetPointMotion()
+            self._motion = Brake()
             return self._reached(False)
 
     def stop(self) -> Reached:
@@ -214,7 +218,7 @@ class FrankaDriver:
                 self._wait_for_rest()
             finally:
                 if self._motion is motion:  # a set-point that kept following the arm would let it drift anywhere
-                    self._motion = SetPointMotion()
+                    self._motion = Brake()
             return self._reached(False)
 
     def wait_until_ready(self, timeout: float) -> bool:
@@ -317,7 +321,7 @@ class FrankaDriver:
         """Wait until the next tick or state. Raises the error that has ended the motion."""
         self._require_not_aborted(motion, stop)
         if self._clock() > self._ticked_at + TICK_TIMEOUT:
-            self._motion = SetPointMotion()
+            self._motion = Brake()
             self._update_readiness()
             raise ArmFailedError(f"motion aborted: {self._why_not_ready()}")
         self._sleep(min(_MAX_WAIT, until - self._clock()))
@@ -352,7 +356,7 @@ class FrankaDriver:
         if not motion.aborted_by:
             motion.aborted_by, motion.needs_person = reason, needs_person
         if not isinstance(motion, Retreat):
-            self._motion = SetPointMotion()
+            self._motion = Brake()
 
     def _measured(self) -> CameraPose:
         if self._history.pose is None:

@@ -13,9 +13,9 @@ from embodied_active_learning.errors import (
     ArmStoppedError,
     CommandError,
 )
-from embodied_active_learning.franka.driver import AT_REST, FrankaDriver
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
+from embodied_active_learning.franka.set_point_driver import AT_REST, SetPointDriver
 from threads import in_a_thread, wait_for, wait_for_waiter
 
 CONFIG = Config.from_dict(
@@ -75,7 +75,7 @@ class Lab:
         self.now = 50.0
         self.mount = CameraMount.from_config(config)
         self.pose = CameraPose(tuple(map(float, pose)), height, tilt)
-        self.driver = FrankaDriver(config, lambda: self.now)
+        self.driver = SetPointDriver(config, lambda: self.now)
         self.driver._readiness.set_prepared()
         self.mode, self.errors = RobotMode.MOVE, ()
         self.sends_states = self.follows = True
