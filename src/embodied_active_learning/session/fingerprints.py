@@ -91,7 +91,8 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
 
     Raises:
         SessionError: The set does not belong to the session, another process is saving one, the disk failed, a tensor
-            is not finite, or a file is too large to be read back. The previous set is kept.
+            is not finite, or a file is too large to be read back. The previous set is kept, unless the message says
+            that the new one was written.
     """
     session_path = Path(session_path)
     folder = SessionPaths(session_path).fingerprints
@@ -100,9 +101,10 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
         stays_inside(session_path, folder)
         folder.mkdir(exist_ok=True)
         sync_folder(session_path)
-        with open_regular_file(folder / LOCK_FILE, "r+b") as held:
-            claim(held, folder)
-            return _replace_set(folder, found)
+        held = open_regular_file(folder / LOCK_FILE, "r+b")
+    with held:
+        claim(held, folder)
+        return _replace_set(folder, found)
 
 
 def load_fingerprints(session_path: Path) -> FingerprintSet:

@@ -94,7 +94,7 @@ def save_identification(
         Its folder.
 
     Raises:
-        SessionError: The disk failed; the earlier one is kept.
+        SessionError: The disk failed; the earlier one is kept, unless the message says that the new one was written.
     """
     folder = identification_folder(session_path, name)
     facts = {"images": identification.images, "session": session_path.name}
