@@ -202,8 +202,10 @@ def _table(name: str) -> Callable[[Path], Any]:
 
 
 _GENERATION = "fingerprints/000001"
+_FIRST = "identification/first"
 _TRAIN = "restore the file, or train again"
 _FINGERPRINT = "restore it, or call /fingerprint again"
+_IDENTIFY = "identify again"
 _OTHER_SESSION = "choose another session"
 KINDS = (
     Kind("config.yaml", lambda path: Session.open_read_only(path).config.to_dict(), f"restore it, or {_OTHER_SESSION}"),
@@ -226,9 +228,9 @@ KINDS = (
     Kind(f"{_GENERATION}/model.safetensors", _set, _FINGERPRINT, 2**32),
     Kind(f"{_GENERATION}/object-1/fingerprint.safetensors", _set, _FINGERPRINT, 2**30),
     Kind(f"{_GENERATION}/object-1/calibration.safetensors", _set, _FINGERPRINT),
-    Kind("identification/first/decisions.yaml", _decisions, "identify again"),
-    Kind("identification/first/trace.safetensors", lambda path: _plain(load_trace(path, "first")), limit=2**32),
-    Kind("identification/first/beliefs.safetensors", lambda path: _plain(load_beliefs(path, "first")), limit=2**32),
+    Kind(f"{_FIRST}/decisions.yaml", _decisions, _IDENTIFY),
+    Kind(f"{_FIRST}/trace.safetensors", lambda path: _plain(load_trace(path, "first")), _IDENTIFY, 2**32),
+    Kind(f"{_FIRST}/beliefs.safetensors", lambda path: _plain(load_beliefs(path, "first")), _IDENTIFY, 2**32),
     Kind(
         "people/profile.yaml",
         lambda path: Config.from_dict(load_profile(path / "people" / "profile.yaml")).to_dict(),

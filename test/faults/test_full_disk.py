@@ -96,7 +96,7 @@ def write_end(session):
 KEPT = {
     write_checkpoint: "the previous file is kept",
     write_model: "the previous file is kept",
-    write_fingerprints: "free disk space, or make the folder writable; the previous set is kept",
+    write_fingerprints: "free disk space, or make the folder writable; the previous one is kept",
     write_identification: "free disk space, or make the folder writable; the previous one is kept",
     write_figure: "",
     write_end: "the previous file is kept",

@@ -279,6 +279,7 @@ def test_checkpoint_without_its_observations_is_refused(tmp_path, whole):
         {"schedule": "text"},
         {"generator": []},
         {"generator": None},
+        {"generator": {"bit_generator": "PCG64", "state": {"state": 2**200, "inc": 1}, "has_uint32": 0, "uinteger": 0}},
         {"updates": "many"},
         {"previous_replica_updates": None},
     ],

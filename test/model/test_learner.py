@@ -150,6 +150,21 @@ def test_incomplete_state_is_refused_by_name():
         learner.load_state_dict(LearnerState(tensors, counters))
 
 
+@pytest.mark.parametrize(
+    ("counter", "value"),
+    [("updates", "many"), ("replica_updates", None), ("schedule", {"window": [1]}), ("generator", {})],
+)
+def test_invalid_counter_leaves_learner_unchanged(counter, value):
+    learner, other = make(), make(seed=9)
+    other.update()
+    tensors, counters = other.state_dict()
+    before = learner.state_dict()
+    with pytest.raises(CorruptFileError, match="invalid counters"):
+        learner.load_state_dict(LearnerState(tensors, {**counters, counter: value}))
+    assert learner.state_dict().counters == before.counters
+    assert all(torch.equal(tensor, before.tensors[name]) for name, tensor in learner.state_dict().tensors.items())
+
+
 def test_batch_has_no_duplicate_observation():
     learner = make(count=8)
     read = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import subprocess
@@ -14,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
-from embodied_active_learning.session import array_files
+from embodied_active_learning.session import array_files, atomic
 from embodied_active_learning.session.atomic import replace_file, write_text
 from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint, save_model
 
@@ -129,6 +130,18 @@ def test_failed_write_keeps_old_file(tmp_path):
         raise KeyError
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_failed_flush_after_rename_reports_new_file(tmp_path, monkeypatch):
+    path = tmp_path / "note.txt"
+
+    def fail(folder):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(atomic, "sync_folder", fail)
+    with pytest.raises(SessionError, match=r"note.txt was written, but may be lost in a power failure \(Input/output"):
+        write_text(path, "new")
+    assert path.read_text() == "new"
 
 
 def test_unwritable_folder_is_reported(tmp_path):

@@ -286,6 +286,8 @@ class Learner:
     def load_state_dict(self, state: LearnerState) -> None:
         """Restore state_dict(), so that training continues as if it had not been interrupted.
 
+        An invalid state changes nothing.
+
         Raises:
             ConfigError: The state is of another model.
             CorruptFileError: A tensor or counter is missing or invalid.
@@ -297,16 +299,23 @@ class Learner:
         previous = with_prefix(PREVIOUS, tensors)
         if previous:
             require_shapes(previous, dict(self.network.named_parameters()))
-        self.network.load_state_dict(with_prefix(NETWORK, tensors))
-        self._optimiser.load_state_dict(with_prefix(ADAM, tensors))
         try:
-            self._load_counters(counters)
+            updates, skipped, rollbacks = (int(counters[name]) for name in ("updates", "skipped", "rollbacks"))
             previous_updates = int(counters["previous_replica_updates"]) if previous else 0
             replica_updates = int(counters["replica_updates"])
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            loss_weights = LossWeights(self._config.objective)
+            loss_weights.load_state_dict(counters["schedule"])
+            random = np.random.default_rng(0)
+            random.bit_generator.state = counters["generator"]
+        except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
             raise CorruptFileError(
                 f"invalid counters in the checkpoint: {error!r}; delete the file to use an older one"
             ) from error
+        self.network.load_state_dict(with_prefix(NETWORK, tensors))
+        self._optimiser.load_state_dict(with_prefix(ADAM, tensors))
+        self.updates, self.skipped, self.rollbacks = updates, skipped, rollbacks
+        self.loss_weights, self._random = loss_weights, random
+        self._prepared = -1
         if previous:
             self.replicas.refresh(previous, previous_updates)
         # A model between two refreshes was never queried and must not replace the requested one.
@@ -325,13 +334,6 @@ class Learner:
             self.refresh()  # replaces the diverged model
         generator: Any = self._random.bit_generator  # PCG64, which has jumped()
         self._random = np.random.Generator(generator.jumped(rollbacks))
-
-    def _load_counters(self, counters: Dict[str, Any]) -> None:
-        self.updates, self.skipped = int(counters["updates"]), int(counters["skipped"])
-        self.rollbacks = int(counters["rollbacks"])
-        self._prepared = -1
-        self.loss_weights.load_state_dict(counters["schedule"])
-        self._random.bit_generator.state = counters["generator"]
 
     def _compute_gradients(self, count: int, beta: float, gamma: float) -> LossTerms:
         """Draw two batches, each without repetition, and compute the loss and its gradient."""

@@ -29,7 +29,7 @@ def write_arrays(path: Path, kind: str, arrays: Mapping[str, np.ndarray], facts:
     """Write arrays and plain facts (numbers, texts, lists, dictionaries) atomically. Equal content gives equal bytes.
 
     Raises:
-        SessionError: The disk failed; the previous file is kept.
+        SessionError: The disk failed; the previous file is kept, unless the message says that the new one was written.
     """
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     text = json.dumps(facts, sort_keys=True, allow_nan=False)

@@ -20,7 +20,11 @@ _SUFFIX = ".tmp"
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[BinaryIO]:
-    """Yield a temporary file that replaces path at the end of the block, and is deleted if the block fails."""
+    """Yield a temporary file that replaces path at the end of the block, and is deleted if the block fails.
+
+    Raises:
+        SessionError: The disk failed; the message says whether the previous or the new file is in place.
+    """
     path = Path(path)
     # In the same folder, because a rename is atomic only within one file system.
     temporary = _temporary(path, path.name)
@@ -32,12 +36,12 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
-        sync_folder(path.parent)
     except OSError as error:
         raise SessionError(f"{path} cannot be written ({error.strerror}): the previous file is kept") from error
     finally:
         with suppress(OSError):  # the next writer removes it; the first error is the one to report
             temporary.unlink()
+    _flush_rename(path)
 
 
 @contextmanager
@@ -47,7 +51,8 @@ def replace_folder(path: Path) -> Iterator[Path]:
     The functions of this module flush what the block writes with them.
 
     Raises:
-        SessionError: Writing failed, also inside the block; the previous folder is kept.
+        SessionError: Writing failed, also inside the block; the message says whether the previous or the new folder is
+            in place.
     """
     temporary, previous = _temporary(path, path.name), _temporary(path, f"{path.name}.previous")
     try:
@@ -56,8 +61,8 @@ def replace_folder(path: Path) -> Iterator[Path]:
             temporary.mkdir()
             yield temporary
             _swap(path, temporary, previous)
-            sync_folder(path.parent)
-            remove_paths([previous])
+        _flush_rename(path)
+        remove_paths([previous])
     finally:
         remove_paths([temporary])
 
@@ -154,6 +159,16 @@ def _swap(path: Path, new: Path, previous: Path) -> None:
         if replaces:
             os.replace(previous, path)
         raise
+
+
+def _flush_rename(path: Path) -> None:
+    """Flush the rename of a new file or folder to a path."""
+    try:
+        sync_folder(path.parent)
+    except OSError as error:
+        raise SessionError(
+            f"{path} was written, but may be lost in a power failure ({error.strerror}): check the disk"
+        ) from error
 
 
 def _is_being_written(temporary: Path) -> bool:

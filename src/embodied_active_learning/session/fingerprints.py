@@ -94,7 +94,8 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
 
     Raises:
         SessionError: The set does not belong to the session, another process is saving one, the disk failed, a tensor
-            is not finite, or a file is too large to be read back. The previous set is kept.
+            is not finite, or a file is too large to be read back. The previous set is kept, unless the message says
+            that the new one was written.
     """
     session_path = Path(session_path)
     folder = SessionPaths(session_path).fingerprints
@@ -103,17 +104,18 @@ def save_fingerprints(session_path: Path, found: FingerprintSet) -> Path:
         stays_inside(session_path, folder)
         folder.mkdir(exist_ok=True)
         sync_folder(session_path)
-        with open_regular_file(folder / LOCK_FILE, "r+b") as held:
-            claim(held, folder)
-            return _replace_set(folder, found)
+        held = open_regular_file(folder / LOCK_FILE, "r+b")
+    with held:
+        claim(held, folder)
+        return _replace_set(folder, found)
 
 
 def load_fingerprints(session_path: Path) -> FingerprintSet:
     """Read the newest set of a session, with the session's configuration; warn if the model has learned more since.
 
     Raises:
-        SessionError: The session has no fingerprints yet.
-        CorruptFileError: It is damaged, or a link out of the session; names the file and the field.
+        SessionError: The session has no fingerprints yet, or a link leads out of it.
+        CorruptFileError: The set is damaged; names the file and the field.
     """
     session_path = Path(session_path)
     config = read_stored_config(SessionPaths(session_path).config)
@@ -190,11 +192,11 @@ def _write_fingerprint(folder: Path, fingerprint: Fingerprint) -> None:
 
 
 def _read_set(session_path: Path, generation: Path, config: Config) -> FingerprintSet:
-    path, model = generation / SET_FILE, generation / MODEL_FILE
-    stored = _read_set_file(session_path, path)
-    _check_inside(session_path, model)
-    weights, _ = read_tensors(model, _MODEL_KIND, _MODEL_READER)
-    fingerprints = tuple(_read_fingerprint(session_path, generation / name / FINGERPRINT_FILE) for name in stored.names)
+    path = stays_inside(session_path, generation) / SET_FILE
+    stored = _read_set_file(path)
+    weights, _ = read_tensors(generation / MODEL_FILE, _MODEL_KIND, _MODEL_READER)
+    folders = [stays_inside(session_path, generation / name) for name in stored.names]
+    fingerprints = tuple(map(_read_fingerprint, folders))
     with _damage_in(path):
         return FingerprintSet(
             session=stored.session,
@@ -207,9 +209,8 @@ def _read_set(session_path: Path, generation: Path, config: Config) -> Fingerpri
         )
 
 
-def _read_set_file(session_path: Path, path: Path) -> _SetFile:
+def _read_set_file(path: Path) -> _SetFile:
     """Return the content of a set.yaml, with names that are safe in paths."""
-    _check_inside(session_path, path)
     content = read_checksummed(path, _READER, FORMAT, VERSION)
     found = build(_SetFile, content, path, CorruptFileError, _READER.remedy)
     with _damage_in(path):
@@ -218,23 +219,22 @@ def _read_set_file(session_path: Path, path: Path) -> _SetFile:
     return found
 
 
-def _read_fingerprint(session_path: Path, path: Path) -> Fingerprint:
-    _check_inside(session_path, path)
+def _read_fingerprint(folder: Path) -> Fingerprint:
+    path = folder / FINGERPRINT_FILE
     with _damage_in(path):
         arrays, stored = read_arrays(path, _KIND, _FINGERPRINT_READER)
         facts = build(_FingerprintFacts, stored, path, CorruptFileError, _READER.remedy)
-        _READER.expect(path, stored, {"name": path.parent.name})
+        _READER.expect(path, stored, {"name": folder.name})
         _check_names(path, arrays)
-        calibration = _read_calibration(session_path, path.parent / CALIBRATION_FILE)
+        calibration = _read_calibration(folder / CALIBRATION_FILE)
         fields: Dict[str, Any] = {**to_plain(facts), **arrays}
         return Fingerprint(**fields, calibration=calibration)
 
 
-def _read_calibration(session_path: Path, path: Path) -> Optional[Calibration]:
+def _read_calibration(path: Path) -> Optional[Calibration]:
     """Return the stored calibration; None without a file, or if it is of other rules."""
     if not os.path.lexists(path):
         return None
-    _check_inside(session_path, path)
     with _damage_in(path):
         similarities, facts = read_arrays(path, _CALIBRATION_KIND, _READER)
         if build(_CalibrationFacts, facts, path, CorruptFileError, _READER.remedy).rules != CALIBRATION_VERSION:
@@ -252,11 +252,6 @@ def _check_names(path: Path, names: Collection[str]) -> None:
     for name in names:
         if name not in ARRAYS:
             raise _READER.make_error(f"{path}:", f"array {short_repr(name)} is unknown")
-
-
-def _check_inside(session_path: Path, path: Path) -> None:
-    with _damage_in(path):
-        stays_inside(session_path, path)
 
 
 def _refuse_large(path: Path, reader: FileReader, remedy: str) -> None:

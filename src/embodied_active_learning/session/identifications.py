@@ -20,6 +20,7 @@ from embodied_active_learning.objects.decision import OUTCOMES, Decision
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.schema import build, required
+from embodied_active_learning.session.array_files import READER as ARRAY_READER
 from embodied_active_learning.session.array_files import Arrays, read_finite_arrays, write_finite_arrays
 from embodied_active_learning.session.atomic import make_folder, remove_leftovers, replace_folder, write_text
 from embodied_active_learning.session.checksummed_yaml import checksummed_text, read_checksummed
@@ -34,6 +35,7 @@ BELIEFS_FILE = "beliefs.safetensors"
 TRACE_FILE = "trace.safetensors"
 _POSE = ("x", "y", "theta")
 _READER = FileReader(CorruptFileError, "identify again")
+_ARRAYS_READER = dataclasses.replace(_READER, limit=ARRAY_READER.limit)
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def save_identification(
         Its folder.
 
     Raises:
-        SessionError: The disk failed; the earlier one is kept.
+        SessionError: The disk failed; the earlier one is kept, unless the message says that the new one was written.
     """
     folder = identification_folder(session_path, name)
     facts = {"images": identification.images, "session": session_path.name}
@@ -130,12 +132,12 @@ def load_identification(session_path: Path, name: str) -> StoredIdentification:
 
 def load_trace(session_path: Path, name: str) -> Arrays:
     """Read the trace of every image: "<session>/<fingerprint>/view", distance, value (N,) and pose (N, 3)."""
-    return read_finite_arrays(identification_folder(session_path, name) / TRACE_FILE, "trace")[0]
+    return read_finite_arrays(identification_folder(session_path, name) / TRACE_FILE, "trace", _ARRAYS_READER)[0]
 
 
 def load_beliefs(session_path: Path, name: str) -> Arrays:
     """Read the belief grids: "<session>/<fingerprint>/mean" and std (nx, ny, nyaw); axes x, y [m] and yaw [rad]."""
-    return read_finite_arrays(identification_folder(session_path, name) / BELIEFS_FILE, "beliefs")[0]
+    return read_finite_arrays(identification_folder(session_path, name) / BELIEFS_FILE, "beliefs", _ARRAYS_READER)[0]
 
 
 def _beliefs(identification: Identification) -> Arrays:

@@ -18,7 +18,8 @@ def write_tensors(path: Path, kind: str, tensors: Tensors, facts: Mapping[str, A
     """Write tensors and plain facts atomically. The tensors must not change meanwhile.
 
     Raises:
-        SessionError: The disk failed, or a tensor is not finite; the previous file is kept.
+        SessionError: The disk failed, or a tensor is not finite; the previous file is kept, unless the message says
+            that the new one was written.
     """
     write_finite_arrays(path, kind, {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}, facts)
 
