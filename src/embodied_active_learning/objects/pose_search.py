@@ -88,14 +88,13 @@ def propose(mosaic: Mosaic, appearance: Appearance, count: int) -> Proposals:
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 15, 1e-3)
     _, labels, colours = cv2.kmeans(features, _COLOURS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
     layers = [_colour_matches(mosaic, colours, gain) for gain in _GAINS]
-    transforms = [scipy.fft.rfft2(layer) for layer in layers]
-    size = len(mosaic.x)
+    size, padded = len(mosaic.x), len(mosaic.x) + _padding(mosaic, appearance, view)
+    transforms = [scipy.fft.rfft2(layer, s=(padded, padded)) for layer in layers]
     maps: np.ndarray = np.empty((len(_YAWS), size, size), np.float32)
     for index, yaw in enumerate(_YAWS):
-        kernel = np.conj(scipy.fft.rfft2(_kernels(appearance, view, np.ravel(labels), yaw, size)))
-        maps[index] = np.max(
-            [scipy.fft.irfft2((kernel * part).sum(axis=0), s=(size, size)) for part in transforms], axis=0
-        )
+        kernel = np.conj(scipy.fft.rfft2(_kernels(appearance, view, np.ravel(labels), yaw, padded)))
+        correlations = [scipy.fft.irfft2((kernel * part).sum(axis=0), s=(padded, padded)) for part in transforms]
+        maps[index] = np.max(correlations, axis=0)[:size, :size]
     best = np.where(mosaic.inside, maps.max(axis=0), -np.inf)
     rows, columns = np.nonzero((maximum_filter(best, _PEAK_SIZE) == best) & mosaic.inside)
     order = np.argsort(-best[rows, columns], kind="stable")[:count]
@@ -195,6 +194,14 @@ def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndar
         error = ((mosaic.features[..., 0] - log_luminance(np.exp(gain) * luminance)) / LUMINANCE_SCALE) ** 2
         layers.append(mosaic.seen / (1.0 + error + colour_distance(shift) / COLOUR_SCALE**2))
     return np.stack([*layers, np.max(layers, axis=0)]).astype(np.float32)
+
+
+def _padding(mosaic: Mosaic, appearance: Appearance, view: int) -> int:
+    """Pixels without a match beside the mosaic, so that no kernel reaches its opposite border: FFTs are periodic."""
+    points = np.concatenate([appearance.inside_points[view], appearance.ring_points[view]])
+    reach = int(np.ceil(np.hypot(*points.T).max() / MOSAIC_PIXEL)) + _PEAK_SIZE // 2
+    pixels = np.argwhere(mosaic.inside)
+    return max(0, reach - int(min(pixels.min(), len(mosaic.x) - 1 - pixels.max())))
 
 
 def _kernels(appearance: Appearance, view: int, labels: np.ndarray, yaw: float, size: int) -> np.ndarray:

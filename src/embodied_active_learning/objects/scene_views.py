@@ -15,8 +15,8 @@ from embodied_active_learning.workspace import Workspace
 
 MOSAIC_PIXEL = 0.003
 """Size of a pixel of the mosaic [m]."""
-_MOSAIC_BORDER = 0.08
-"""Extent of the mosaic beyond the workspace [m]: half an object, and half a rectified view around it."""
+_BORDER = 0.0575
+"""Extent of the mosaic beyond its inside [m]: an object with its centre there, and the table around it."""
 
 
 class SceneViews:
@@ -70,7 +70,7 @@ class Mosaic:
     def __init__(self, views: SceneViews, workspace: Workspace, margin: float) -> None:
         """Sample the images over a workspace. margin: part around it that also counts as inside [m]."""
         lower, upper = (np.asarray(limit[:2]) for limit in (workspace.lower, workspace.upper))
-        size = int(np.ceil((float(np.max(upper - lower)) + 2.0 * _MOSAIC_BORDER) / MOSAIC_PIXEL))
+        size = int(np.ceil((float(np.max(upper - lower)) + 2.0 * (margin + _BORDER)) / MOSAIC_PIXEL))
         steps = (np.arange(size) + 0.5 - size / 2) * MOSAIC_PIXEL
         self.x, self.y = (middle + steps for middle in (lower + upper) / 2.0)
         points = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
