@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Dict, Optional, Tuple
 
 import numpy as np
@@ -100,3 +101,19 @@ class Mosaic:
     def coverage(self) -> float:
         """Share of the inside that was seen."""
         return float(self.seen[self.inside].mean())
+
+
+class ObservedScene:
+    """The images of a scene as views and, composed when it is first used, as a mosaic."""
+
+    def __init__(
+        self, states: np.ndarray, images: np.ndarray, camera: CameraConfig, workspace: Workspace, margin: float
+    ) -> None:
+        """Keep images (N, H, W, 3) uint8 from states (N, 3) [m, m, rad]. margin: see Mosaic."""
+        self.views = SceneViews(states, images, camera)
+        self._workspace, self._margin = workspace, margin
+
+    @cached_property
+    def mosaic(self) -> Mosaic:
+        """The images as one."""
+        return Mosaic(self.views, self._workspace, self._margin)
