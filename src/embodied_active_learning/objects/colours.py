@@ -27,8 +27,8 @@ _WHITE = 765
 """Sum of the channels of a white pixel."""
 _DARK_LUMINANCE, _DARK_COLOUR = 0.02, 0.03
 """Added to luminance and to the sum of channels (1 and 3 are white), so that dark pixels have stable features."""
-_LEAST_LUMINANCE = 0.004
-"""Least luminance (1 is white) for which features are corrected: one level in each channel."""
+_MIN_LUMINANCE = 0.004
+"""Smallest luminance (1 is white) for which features are corrected: one level in each channel."""
 _LEVELS: np.ndarray = np.arange(_WHITE + 1, dtype=np.float32)
 _LOG_LUMINANCE = np.log(_LEVELS / _WHITE + _DARK_LUMINANCE)
 _SHARE: np.ndarray = (3.0 / (_LEVELS + 255.0 * _DARK_COLOUR)).astype(np.float32)
@@ -99,7 +99,7 @@ def colours_of(features: np.ndarray) -> np.ndarray:
 
 def luminance_of(features: np.ndarray) -> np.ndarray:
     """Return the luminance (...) of features (..., 3): 1 is white, the least is one level in each channel."""
-    return np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, _LEAST_LUMINANCE)
+    return np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, _MIN_LUMINANCE)
 
 
 def log_luminance(luminance: np.ndarray) -> np.ndarray:
@@ -126,14 +126,14 @@ def balance_jacobian(features: np.ndarray) -> np.ndarray:
 class TableColours:
     """The colours of the bare table: clusters, each with its covariance."""
 
-    def __init__(self, places: Sequence[np.ndarray], least_share: float = 0.0) -> None:
+    def __init__(self, places: Sequence[np.ndarray], min_share: float = 0.0) -> None:
         """Fit to features (N, 3) of pixels around several places of the table.
 
         Colours that only one place shows are left out: they may be those of an object that reaches far.
 
         Args:
             places: (N, 3) features of each place, N >= 1.
-            least_share: Share of the places that must show a colour.
+            min_share: Share of the places that must show a colour.
         """
         random = np.random.default_rng(0)
         drawn = [
@@ -149,7 +149,7 @@ class TableColours:
         table = np.zeros((len(places), count))
         np.add.at(table, (source, labels), 1.0)
         table /= np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-        common = (table > _MIN_SHARE).sum(axis=0) >= max(min(2, len(places)), least_share * len(places))
+        common = (table > _MIN_SHARE).sum(axis=0) >= max(min(2, len(places)), min_share * len(places))
         kept = np.flatnonzero(common) if common.any() else np.array([int(table.sum(axis=0).argmax())])
         self._centres = np.asarray(centres)[kept]
         self._whitening: List[np.ndarray] = []

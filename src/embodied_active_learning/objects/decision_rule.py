@@ -187,7 +187,7 @@ class ViewRule(DecisionRule):
         if candidate.near < MIN_VIEWS and not _is_clearly_below(value, limits.miss):
             outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
         elif value >= limits.miss:
-            in_plane = target.has_height and _is_flat(target, scene.views, candidate.pose)
+            in_plane = target.has_height and _is_in_table_plane(target, scene.views, candidate.pose)
             outcome, reason = _judge_similar(value, limits, in_plane)
         else:
             outcome, reason = _judge_dissimilar(value, limits, unseen, table_match)
@@ -257,7 +257,7 @@ def make_rule(settings: IdentificationConfig) -> DecisionRule:
 
 
 def _judge_similar(value: float, limits: Limits, in_plane: bool) -> Tuple[str, str]:
-    """Outcome and reason at a similarity from the miss limit on; in_plane: whether the table is flat there."""
+    """Outcome and reason at a similarity from the miss limit on; in_plane: whether nothing stands on the table."""
     if in_plane:
         return NOT_HERE, f"similarity {value:.2f}, but the place lies in the plane of the table"
     if value >= limits.found:
@@ -286,12 +286,12 @@ def _is_clearly_below(value: float, miss: float, contrast: float = 1.0) -> bool:
     return -1.0 < value < min(contrast * _CLEARLY_BELOW * miss, miss)
 
 
-def _is_flat(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:
-    """Whether the table is flat where the object would be at a pose (3,)."""
+def _is_in_table_plane(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:
+    """Whether nothing stands on the table where the object would be at a pose (3,)."""
     appearance = target.appearance
     relief = views.relief_at(appearance.middle_at(pose)[:2])
     points = to_base_frame(appearance.inside_points[appearance.central_view], pose[np.newaxis])[0]
-    return relief is not None and relief.is_flat_at(points)
+    return relief is not None and relief.is_in_table_plane(points)
 
 
 def _resolved(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]]) -> Decision:

@@ -105,9 +105,9 @@ def _standing(
     """
     raised, known = np.zeros_like(foreground), np.zeros_like(foreground)
     box = config.workspace.box()
-    least, most = np.array(box.lower[:2]), np.array(box.upper[:2])
+    lower_limit, upper_limit = np.array(box.lower[:2]), np.array(box.upper[:2])
     tiles = np.unique((np.argwhere(foreground) + 0.5) * _CELL // TILE, axis=0)
-    places = np.clip(lower + (tiles + 0.5) * TILE, least - _OVERHANG, most + _OVERHANG)
+    places = np.clip(lower + (tiles + 0.5) * TILE, lower_limit - _OVERHANG, upper_limit + _OVERHANG)
     for place in np.unique(places, axis=0):
         relief = relief_at(place, states, images, config.camera)
         if relief is None:
@@ -117,7 +117,7 @@ def _standing(
         known[tuple(cells[inside].T)] = True
         raised[tuple(cells[inside & relief.raised].T)] = True
     middles = lower + (np.moveaxis(np.indices(foreground.shape), 0, -1) + 0.5) * _CELL
-    within = np.all((middles > least) & (middles < most), axis=-1)
+    within = np.all((middles > lower_limit) & (middles < upper_limit), axis=-1)
     near = ndimage.binary_dilation(raised | (foreground & within & ~known))
     return np.asarray(ndimage.binary_fill_holes(near))
 

@@ -128,7 +128,7 @@ def refine(
         chosen = views.nearest(above, MIN_VIEWS, _FAR * settings.view_distance)
     if not len(chosen):
         return Candidate(starts[0], -1.0, near)
-    pose = best_pose(appearance, views, chosen, starts, least=_PROMISING * miss)
+    pose = best_pose(appearance, views, chosen, starts, min_similarity=_PROMISING * miss)
     value = similarity(appearance, views, chosen, nearest_stored_views(appearance, views, chosen, pose), pose[None])
     return Candidate(pose, float(value[0]), near)
 
@@ -139,7 +139,7 @@ def best_pose(
     chosen: Indices,
     starts: np.ndarray,
     excluded: Indices = (),
-    least: float = -1.0,
+    min_similarity: float = -1.0,
     stride: int = 4,
 ) -> np.ndarray:
     """Return the most similar pose (3,) that a search from the starts (Y, 3) reaches.
@@ -150,7 +150,7 @@ def best_pose(
         chosen: (V,) the images that are compared; the first ones alone decide which starts are followed.
         starts: Poses to start from.
         excluded: Stored views that are not compared with.
-        least: Similarity below which a start is not followed.
+        min_similarity: Similarity below which a start is not followed.
         stride: Use every n-th point only while starts are compared.
     """
     poses, values = [], []
@@ -161,7 +161,9 @@ def best_pose(
         poses.append(near[found.argmax()])
         values.append(float(found.max()))
     order = np.argsort(values)[::-1][:_CLIMBS]
-    followed = [_climb(appearance, views, chosen, poses[index], excluded) for index in order if values[index] >= least]
+    followed = [
+        _climb(appearance, views, chosen, poses[index], excluded) for index in order if values[index] >= min_similarity
+    ]
     return max(followed, key=lambda item: item[1])[0] if followed else poses[order[0]]
 
 

@@ -73,7 +73,7 @@ class Relief(NamedTuple):
         return float(self.raised[_DISC].sum()) * _PIXEL**2
 
     @property
-    def flat(self) -> bool:
+    def in_table_plane(self) -> bool:
         """Whether the surroundings lie in the plane of the table; false if the images do not fit each other so well."""
         return self.area < _MIN_AREA and bool(self.difference[_DISC].mean() < _EXPLAINED)
 
@@ -82,7 +82,7 @@ class Relief(NamedTuple):
         """Places (S, S, 2) [m] of the pixels."""
         return _points_around(self.place)
 
-    def is_flat_at(self, points: np.ndarray) -> bool:
+    def is_in_table_plane(self, points: np.ndarray) -> bool:
         """Return whether points (K, 2) [m] lie in the plane of the table, as far as the map shows them."""
         columns, rows = np.rint((points - self.place + _RADIUS) / _PIXEL).astype(int).T
         shown = (np.minimum(rows, columns) >= 0) & (np.maximum(rows, columns) < len(self.raised))

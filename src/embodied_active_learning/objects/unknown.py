@@ -80,7 +80,7 @@ def find_unknown(
             ]
             place = np.array([mosaic.x[columns], mosaic.y[rows]])
             relief = views.relief_at(place)
-            if relief is None or not relief.flat:
+            if relief is None or not relief.in_table_plane:
                 found.append(UnknownObject(place, float(areas[label]), picture))
     return found
 
