@@ -235,7 +235,7 @@ def _is_near(things: np.ndarray, centre: np.ndarray, distance: float) -> bool:
 
 
 def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:
-    """Circular mean of yaws (M,) [rad]; those on both sides of the limits have a mean beyond them, which is clipped."""
+    """Circular mean of yaws (M,) [rad], clipped: the mean of yaws near both limits may lie beyond one of them."""
     mean = float(wrap(np.arctan2(np.sin(yaws).sum(), np.cos(yaws).sum())))
     return min(max(mean, workspace.lower[2]), workspace.upper[2])
 

@@ -29,9 +29,9 @@ _YAWS = 3
 _REFINEMENT_DISTANCE = 0.02  # m
 _REFINEMENT_TURN = 0.5  # rad
 _CLEARLY_BELOW = 0.5
-"""Share of the miss limit that an object reaches also in few or distant views."""
+"""Factor of the miss limit below which an object is absent even if its views are few or distant."""
 _MAX_TABLE_MATCH = 0.3
-"""Share of the scene with the object's colours above which similarities just below the miss limit decide nothing."""
+"""Share of the scene with the object's colours above which values just below the miss limit leave it open."""
 
 
 class TargetResult(NamedTuple):
@@ -199,7 +199,7 @@ class ViewRule(DecisionRule):
         )
 
     def _unseen(self, mosaic: Mosaic) -> str:
-        """Why the absence of an object could not be stated for lack of images; empty if it could."""
+        """Why too little was seen to state that an object is absent; empty if enough was seen."""
         if mosaic.coverage < self._settings.min_coverage:
             return f"only {100 * mosaic.coverage:.0f} % of the workspace seen: take more images"
         return ""
@@ -257,7 +257,7 @@ def make_rule(settings: IdentificationConfig) -> DecisionRule:
 
 
 def _judge_similar(value: float, limits: Limits, in_plane: bool) -> Tuple[str, str]:
-    """Outcome and reason at a similarity from the miss limit on; in_plane: whether nothing stands on the table."""
+    """Outcome and reason at a similarity of at least the miss limit. in_plane: whether nothing stands on the table."""
     if in_plane:
         return NOT_HERE, f"similarity {value:.2f}, but the place lies in the plane of the table"
     if value >= limits.found:
@@ -269,7 +269,7 @@ def _judge_similar(value: float, limits: Limits, in_plane: bool) -> Tuple[str, s
 
 
 def _judge_dissimilar(value: float, limits: Limits, unseen: str, table_match: float) -> Tuple[str, str]:
-    """Outcome and reason at a similarity below the miss limit, where absence can be stated unless it was `unseen`."""
+    """Outcome and reason at a similarity below the miss limit. unseen: why absence cannot be stated, or empty."""
     if unseen:
         return UNDECIDED, f"best similarity {value:.2f}, but {unseen}"
     # On a table of its colours an object is hardly more similar than the table around it.
@@ -282,7 +282,7 @@ def _judge_dissimilar(value: float, limits: Limits, unseen: str, table_match: fl
 
 
 def _is_clearly_below(value: float, miss: float, contrast: float = 1.0) -> bool:
-    """Whether a similarity is too low for an object whose surroundings lower it by a factor; False if none is known."""
+    """Whether a known similarity (above -1) is too low for the object. contrast: factor by which a table lowers it."""
     return -1.0 < value < min(contrast * _CLEARLY_BELOW * miss, miss)
 
 

@@ -1,7 +1,7 @@
 """Search for an object in a scene: candidate places from a mosaic, then the pose from views.
 
-Candidates do not depend on the model, nor on how far they rise above their surroundings: they are the places where the
-mosaic is most similar to the object, at any yaw. The similarity of points that share a few colours is a sum of
+Candidates are the places where the mosaic is most similar to the object, at any yaw. They depend neither on the model
+nor on their prominence. The similarity of points that share a few colours is a sum of
 correlations, so all places are compared at once by Fourier transforms.
 """
 
@@ -34,22 +34,22 @@ _GAINS = (-0.9, -0.5, -0.15, 0.2)
 """Log gains between the stored views and the scene that candidates are searched with."""
 _BALANCE = 0.05
 _PEAK_SIZE = 9
-"""Side of the window in which a candidate place is the best one, in pixels of the mosaic."""
+"""Side of the window in which a candidate place is the maximum, in pixels of the mosaic."""
 _STARTS = 6
 """Yaws from which the pose is searched at a place."""
 _CLIMBS = 3
-"""Starts that are followed to their most similar pose: the first comparison may prefer an object turned by half."""
+"""Starts that are refined to their most similar pose: the first comparison may prefer a yaw wrong by half a turn."""
 MIN_VIEWS = 3
-"""Views from near a place without which an object is not found there.
+"""Smallest number of views from near a place with which an object can be found there.
 
 Calibration simulates as many: raise CALIBRATION_VERSION (objects/limits.py) if this changes.
 """
 _FAR = 1.5
-"""Where there are fewer, views from up to this many times as far may show that it is not there."""
+"""Multiple of the view distance up to which views are used if fewer are near; they can only show absence."""
 _SEARCH_VIEWS = 2
 """Views in which starts are compared."""
 _PROMISING = 0.5
-"""Share of the miss limit below which a start is not followed: no search raises a similarity that far."""
+"""Factor of the miss limit below which a start is not refined: refinement does not raise a similarity that far."""
 _STEPS = ((0.004, 0.09), (0.003, 0.06), (0.0015, 0.03))
 """Steps [m, rad] of the searches around a start, around the best result, and around the best result again."""
 
@@ -147,10 +147,10 @@ def best_pose(
     Args:
         appearance: The object.
         views: The images.
-        chosen: (V,) the images that are compared; the first ones alone decide which starts are followed.
+        chosen: (V,) the images that are compared; the first ones alone decide which starts are refined.
         starts: Poses to start from.
         excluded: Stored views that are not compared with.
-        min_similarity: Similarity below which a start is not followed.
+        min_similarity: Similarity below which a start is not refined.
         stride: Use every n-th point only while starts are compared.
     """
     poses, values = [], []
@@ -187,7 +187,7 @@ def _around(pose: np.ndarray, step: float, turn: float) -> np.ndarray:
 
 
 def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndarray:
-    """Match (C + 1, S, S) of the mosaic with each colour (C, 3) under a gain, and with the best of them."""
+    """Match (C + 1, S, S) of the mosaic with each colour (C, 3) under a gain, and the largest of these matches."""
     layers = []
     for colour in colours:
         luminance = luminance_of(colour)
@@ -207,7 +207,7 @@ def _padding(mosaic: Mosaic, appearance: Appearance, view: int) -> int:
 
 
 def _kernels(appearance: Appearance, view: int, labels: np.ndarray, yaw: float, size: int) -> np.ndarray:
-    """(C + 1, S, S) weights of the object's points by colour (I,), and of the ring's, at a yaw; centred on pixel 0."""
+    """Kernels (C + 1, S, S) at a yaw, centred on pixel 0: of the object's points by label (I,), and of the ring."""
     kernels: np.ndarray = np.zeros((_COLOURS + 1, size, size), np.float32)
     ring_points = appearance.ring_points[view]
     for points, layer, weight in (

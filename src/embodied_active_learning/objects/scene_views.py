@@ -1,4 +1,4 @@
-"""The images of a scene, as candidates are compared with them: sampled at points of the table."""
+"""The images of a scene, sampled at points of the table to compare candidates with them."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class SearchTarget:
 
     @property
     def has_height(self) -> bool:
-        """Whether the object stands on the table, because prints were left out when its fingerprint was made."""
+        """Whether the object is known to stand on the table: its fingerprint was made without prints."""
         settings = self._set.config.fingerprint
         return settings.clustering == TABLE and not settings.prints
 
