@@ -75,12 +75,12 @@ def main() -> None:
     report(read_rows(path))
 
 
-def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, most: int) -> Row:
+def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, max_images: int) -> Row:
     """Search one scene with one explorer."""
     place = evaluation.scenes.draw(condition, scene)
     search = evaluation.search
     search.reset()
-    decisions = explore(place.world, evaluation.config, search, explorer, scene, most)
+    decisions = explore(place.world, evaluation.config, search, explorer, scene, max_images)
     judged = [
         judge(decisions_about(decisions, *key), place, explorer, key, kind)
         for key, kind in evaluation.kinds.items()
@@ -103,7 +103,7 @@ def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, most:
 
 
 def explore(
-    world: World, config: Config, search: Identification, explorer: str, seed: int, most: int
+    world: World, config: Config, search: Identification, explorer: str, seed: int, max_images: int
 ) -> List[Decision]:
     """Move the simulated arm until everything is decided, as planner and identifier do together."""
     config = replace(config, exploration=replace(config.exploration, explorer=explorer, seed=seed))
@@ -113,13 +113,13 @@ def explore(
     due = FIRST_EVALUATION
     with Simulation(world, config) as simulation:
         motion = ExplorationRun(config)
-        while not search.all_closed and len(states) < most:
+        while not search.all_closed and len(states) < max_images:
             states.append(simulation.pose)
             images.append(simulation.image())
             motion.observe(simulation.pose, simulation.velocity)
             motion.evaluate_step(None)
             search.observe(states[-1][None], images[-1][None])
-            if len(states) >= min(due, most):
+            if len(states) >= min(due, max_images):
                 decisions = search.decide(np.stack(states), np.stack(images))
                 due = next_evaluation(len(states), search.open_count)
                 motion.set_open_places(search.open_places)

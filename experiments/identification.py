@@ -21,10 +21,10 @@ from identification_scenes import CONDITIONS, Place, Row, Scenes, judge, locatio
 from embodied_active_learning.config import BELIEF, FROM_BELIEF, LATENTS, PIXELS, IdentificationConfig
 from embodied_active_learning.evaluation.table1 import keep_counted
 from embodied_active_learning.objects.decision import Decision, decisions_about
-from embodied_active_learning.objects.decision_rule import DecisionRule
+from embodied_active_learning.objects.decision_rule import make_rule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.identification import Identification
-from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
+from embodied_active_learning.objects.scene_views import ObservedScene
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.simulation.world import World, load_world
@@ -93,15 +93,14 @@ class Evaluation:
     def run(self, place: Place, count: int) -> Iterator[Row]:
         """Search one scene in a number of images and judge each rule."""
         states, images = photograph(place.world, self.config, count, place.number)
-        views = SceneViews(states, images, self.config.camera)
-        stream = Stream(states, images, Mosaic(views, self._box, self._settings.margin))
-        for rule, decisions in self._decisions(stream, views, place.world):
+        scene = ObservedScene(states, images, self.config.camera, self._box, self._settings.margin)
+        for rule, decisions in self._decisions(Stream(states, images, scene.mosaic), scene, place.world):
             for name, kind in self.kinds.items():
                 if rule in self._baselines and kind == BLANK:
                     continue  # they search for objects
                 yield judge(decisions_about(decisions, *name), place, rule, name, kind)
 
-    def _decisions(self, stream: Stream, views: SceneViews, world: World) -> Iterator[Tuple[str, List[Decision]]]:
+    def _decisions(self, stream: Stream, scene: ObservedScene, world: World) -> Iterator[Tuple[str, List[Decision]]]:
         """The decisions of each rule."""
         for features, search in ((LATENTS, self.search), (PIXELS, self._by_pixels)):
             search.reset()
@@ -115,7 +114,8 @@ class Evaluation:
             for name, settings in rules.items():
                 decisions = []
                 for group in by_session(search.targets):
-                    decided = DecisionRule(settings).decide(group, views, stream.mosaic)
+                    results = make_rule(settings).decide(group, scene, closed={})
+                    decided = [decision for result in results for decision in result.decisions]
                     if "ranked" in name:
                         session = group[0].session
                         kinds = {item.fingerprint.name: self.kinds[session, item.fingerprint.name] for item in group}

@@ -35,9 +35,9 @@ from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid
 from embodied_active_learning.objects.collection import is_new_view
 from embodied_active_learning.objects.decision import decisions_about
-from embodied_active_learning.objects.decision_rule import DecisionRule
+from embodied_active_learning.objects.decision_rule import make_rule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
-from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
+from embodied_active_learning.objects.scene_views import ObservedScene
 from embodied_active_learning.objects.scoring import nearest
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world
@@ -106,8 +106,7 @@ class Half:
 
     def search(self, place: Place, states: np.ndarray, images: np.ndarray) -> List[Row]:
         """Decide about all fingerprints in images (N, H, W, 3) from states (N, 3), and judge the decisions."""
-        views = SceneViews(states, images, self.config.camera)
-        mosaic = Mosaic(views, self._box, self._settings.margin)
+        scene = ObservedScene(states, images, self.config.camera, self._box, self._settings.margin)
         present = {item.kind for item in place.world.objects}
         rows: List[Row] = []
         for index, group in enumerate(self.targets):
@@ -115,7 +114,8 @@ class Half:
                 (one.session, one.fingerprint.name): self._kinds[one.session, one.fingerprint.name] for one in group
             }
             if present & set(kinds.values()) or index % _ABSENT == place.number // 2 % _ABSENT:
-                decisions = DecisionRule(self._settings).decide(group, views, mosaic)
+                results = make_rule(self._settings).decide(group, scene, closed={})
+                decisions = [decision for result in results for decision in result.decisions]
                 rows += [
                     judge(decisions_about(decisions, *name), place, "verified", name, kind)
                     for name, kind in kinds.items()

@@ -249,7 +249,7 @@ class IdentificationConfig:
     cells: Tuple[int, ...] = setting(
         (40, 40, 18), "cells of a belief grid in x, y and yaw", "", 4, 500, length=_DIMENSIONS
     )
-    margin: float = setting(0.0225, "extent of the belief grid beyond the workspace", "m", 0.0, 0.5)
+    margin: float = setting(0.0225, "extent of the searched area beyond the workspace", "m", 0.0, 0.5)
     candidates_from: str = setting(
         FROM_IMAGES,
         "candidates of decision verified: places that look like the object (images), or peaks of the belief (belief)",

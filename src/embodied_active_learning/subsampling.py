@@ -5,6 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 
-def spread_indices(count: int, most: int) -> np.ndarray:
-    """Return at most `most` evenly spread indices below `count`, from the first to the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
+def spread_indices(count: int, max_count: int) -> np.ndarray:
+    """Return at most `max_count` evenly spread indices below `count`, from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, max_count)).astype(int)) if count else np.empty(0, int)

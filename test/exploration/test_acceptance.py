@@ -7,7 +7,7 @@ import pytest
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.controller import ErgodicController
-from embodied_active_learning.exploration.ergodic_objective import flat_distribution, kl_ergodic, target_distribution
+from embodied_active_learning.exploration.ergodic_objective import kl_ergodic, target_distribution, uniform_distribution
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 
 BUMPS = np.array([[-0.63, -0.67], [0.3, 0.53]])  # normalised x, y
@@ -32,7 +32,7 @@ def two_bumps(samples):
 
 
 def flat(samples):
-    return flat_distribution(len(samples.states))
+    return uniform_distribution(len(samples.states))
 
 
 def explore(config, target_of, steps):

@@ -9,9 +9,9 @@ from hypothesis.extra.numpy import arrays
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.exploration.ergodic_objective import (
     FLOOR,
-    flat_distribution,
     kl_ergodic,
     target_distribution,
+    uniform_distribution,
 )
 
 WEIGHTS = arrays(np.float64, (30,), elements=st.floats(0, 1e6, allow_subnormal=False))
@@ -22,8 +22,8 @@ def test_target_by_hand():
 
 
 def test_target_flat_without_coverage_or_contrast():
-    np.testing.assert_allclose(target_distribution(np.array([-4.0, 0.0, 1.0]), 0.0), flat_distribution(3))
-    np.testing.assert_allclose(target_distribution(np.zeros(3), 0.7), flat_distribution(3))
+    np.testing.assert_allclose(target_distribution(np.array([-4.0, 0.0, 1.0]), 0.0), uniform_distribution(3))
+    np.testing.assert_allclose(target_distribution(np.zeros(3), 0.7), uniform_distribution(3))
 
 
 @given(arrays(np.float64, (30,), elements=st.floats(-10, 2)), st.floats(0, 1))
@@ -60,4 +60,4 @@ def test_ergodic_measure_zero_if_visitation_matches_target(target):
 
 
 def test_time_average_flat_without_visited_states():
-    assert kl_ergodic(flat_distribution(10), np.zeros(10)) == pytest.approx(0.0, abs=1e-12)
+    assert kl_ergodic(uniform_distribution(10), np.zeros(10)) == pytest.approx(0.0, abs=1e-12)

@@ -19,7 +19,7 @@ from embodied_active_learning.figures.entropy_map import entropy_maps
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
 from embodied_active_learning.figures.reconstructions import select_images
 from embodied_active_learning.figures.session_figures import draw_session_figures
-from embodied_active_learning.figures.top_view import compose_top_view
+from embodied_active_learning.figures.top_view import compose_top_view, load_session_images
 from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.model.cvae import ConditionalVAE
 from embodied_active_learning.session.checkpoints import save_model
@@ -173,6 +173,12 @@ def test_session_figures_without_model(tmp_path):
     assert [path.name for path in draw_session_figures(session)] == ["learning_metrics.png"]
 
 
+def load_path(session):
+    """Return a session's camera states and top view."""
+    images = load_session_images(session)
+    return images.observations.raw_states, images.table
+
+
 def test_learning_metrics_group_seeds_by_world(tmp_path):
     """One column for each world and explorer; baselines come last."""
     sessions = [
@@ -180,20 +186,20 @@ def test_learning_metrics_group_seeds_by_world(tmp_path):
         for explorer in ("random_walk", "ergodic")
         for seed in (0, 1)
     ]
-    assert_picture(draw_learning_metrics(tmp_path / "new" / "metrics.png", sessions), 1184)
+    assert_picture(draw_learning_metrics(tmp_path / "new" / "metrics.png", sessions, load_path), 1184)
 
 
 def test_learning_metrics_of_new_run(tmp_path, recwarn):
     session = make_session(tmp_path, count=1)
     for name in ("training", "exploration"):
         session.paths.table(name).unlink()
-    assert_picture(draw_learning_metrics(tmp_path / "metrics.png", [session]), 672)
+    assert_picture(draw_learning_metrics(tmp_path / "metrics.png", [session], load_path), 672)
     assert [str(warning.message) for warning in recwarn] == []
 
 
 def test_learning_metrics_need_a_session(tmp_path):
     with pytest.raises(SessionError, match="give at least one session"):
-        draw_learning_metrics(tmp_path / "metrics.png", [])
+        draw_learning_metrics(tmp_path / "metrics.png", [], load_path)
 
 
 def test_entropy_map_axes():

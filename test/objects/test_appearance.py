@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,7 @@ from embodied_active_learning.objects.colours import (
 from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.pose_search import best_pose, propose, refine
-from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
+from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, SceneViews
 from embodied_active_learning.objects.similarity import nearest_stored_views, similarity
 from painted_table import Thing, learn, paint, random_states
 
@@ -157,6 +158,26 @@ def test_search_finds_pose_without_model(appearance, views):
     distance, turn = pose_distance(best.pose, np.array(PLACE))
     assert distance < 0.005
     assert turn < 0.3
+
+
+def test_mosaic_shows_the_whole_margin(views):
+    workspace = WORKSPACE.upper[:2] - np.array(WORKSPACE.lower[:2])
+    for margin in (0.0225, 0.2):
+        inside = Mosaic(views, WORKSPACE, margin).inside
+        assert inside.sum() * MOSAIC_PIXEL**2 == pytest.approx(np.prod(workspace + 2.0 * margin), rel=0.02)
+
+
+def test_candidates_are_not_searched_across_the_border(appearance):
+    """An object far from its centre: the centre of the one at the left border is not at the right border."""
+    offset, thing = 0.07, RED._replace(pose=(WORKSPACE.lower[0] - 0.07, 0.0, 0.0))
+    shifted = copy.copy(appearance)
+    shifted.inside_points, shifted.ring_points = (
+        points + np.array((offset, 0.0), np.float32) for points in (appearance.inside_points, appearance.ring_points)
+    )
+    states = np.concatenate([random_states(WORKSPACE, 150, seed=3), WORKSPACE.clip(np.tile(thing.pose, (5, 1)))])
+    mosaic = Mosaic(SceneViews(states, paint(states, (thing,), CAMERA), CAMERA), WORKSPACE, 0.0225)
+    starts = propose(mosaic, shifted, 1).places[0]
+    assert starts[0, 0] < WORKSPACE.centre[0]
 
 
 def test_search_follows_a_start_that_is_not_the_best_one(appearance, views):

@@ -258,9 +258,9 @@ def test_half_weight_halves_information():
 
 def test_maps_share_a_scale_with_a_smallest_range():
     flat, peaked = make_grid(), measure(make_grid(), ((0.45, 0.0, 1.0), 1.0))
-    assert shared_scale([flat.prominence()]) == 0.05
-    assert np.median(peaked.prominence()) == pytest.approx(0.0, abs=1e-12)
-    assert shared_scale([flat.prominence(), peaked.prominence()]) == peaked.prominence().max() > 0.05
+    assert shared_scale([flat.above_median()]) == 0.05
+    assert np.median(peaked.above_median()) == pytest.approx(0.0, abs=1e-12)
+    assert shared_scale([flat.above_median(), peaked.above_median()]) == peaked.above_median().max() > 0.05
 
 
 def test_over_yaw_returns_best_yaw_and_its_std():

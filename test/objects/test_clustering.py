@@ -105,7 +105,7 @@ def two():
 
 
 def test_clusters_match_objects_within_5_mm(two):
-    assert not two.flat
+    assert not two.low_contrast
     assert two.unreachable == ()
     assert_found(objects(two), TWO)
 
@@ -162,20 +162,20 @@ def test_clustering_is_deterministic_per_seed(two):
 @pytest.mark.parametrize("contrast", [1.0, 1.9])
 def test_flat_entropy_gives_no_clusters(contrast):
     found = cluster_table(TWO, contrast=contrast, count=30)
-    assert found.flat
+    assert found.low_contrast
     assert found.contrast < 2.0
     assert found.clusters == found.unreachable == ()
 
 
 def test_min_contrast_sets_flatness_limit():
     config = configuration({"min_contrast": 7.0})
-    assert cluster_table(TWO, config, count=30).flat
-    assert not cluster_table(TWO, config, count=30, contrast=8.0).flat
+    assert cluster_table(TWO, config, count=30).low_contrast
+    assert not cluster_table(TWO, config, count=30, contrast=8.0).low_contrast
 
 
 def test_uneven_entropy_on_bare_table_is_no_object():
     found = cluster_table((), entropy=Entropy([TWO[0].pose]), count=200)
-    assert not found.flat
+    assert not found.low_contrast
     assert [cluster.kind for cluster in found.clusters] == [BLANK]
     assert found.unreachable == ()
 

@@ -506,3 +506,9 @@ def test_belief_decision_never_stops_early():
     search.observe(*stream())
     search.decide(*stream())
     assert not search.all_closed
+
+
+def test_belief_decision_composes_no_mosaic(monkeypatch):
+    monkeypatch.delattr(scene_views, "Mosaic")
+    search = make_identification(settings=replace(SETTINGS, decision="belief"))
+    assert len(search.decide(*views_of(HERE, count=5))) == 3

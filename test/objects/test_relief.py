@@ -25,15 +25,15 @@ def measured(height, noise=3.0, brightness=1.0, count=24):
     return relief_at(PLACE, states, (brightness * images).astype(np.uint8), CONFIG.camera)
 
 
-def test_print_is_flat():
-    assert measured(0.0).flat
+def test_print_is_in_table_plane():
+    assert measured(0.0).in_table_plane
 
 
 @settings(max_examples=15)
 @given(height=st.floats(0.01, 0.05), brightness=st.floats(0.5, 1.0))
 def test_standing_disc_is_raised_in_any_light(height, brightness):
     found = measured(height, brightness=brightness)
-    assert not found.flat
+    assert not found.in_table_plane
     assert found.area > 3e-4
 
 
@@ -42,7 +42,7 @@ def test_wrong_states_do_not_make_things_flat():
     states = near_states(24)
     images = paint(states, [Thing(0, (*PLACE, 0.4))], CONFIG.camera)
     wrong = states + np.random.default_rng(1).normal(0.0, (0.006, 0.006, 0.05), states.shape)
-    assert not relief_at(PLACE, wrong, images, CONFIG.camera).flat
+    assert not relief_at(PLACE, wrong, images, CONFIG.camera).in_table_plane
 
 
 def test_low_camera_measures_lower_planes():
@@ -74,7 +74,7 @@ def test_points_beside_a_standing_disc_are_flat():
     images = paint(states, [Thing(0, (*PLACE, 0.4), radius=0.015, height=0.03)], CONFIG.camera)
     found = relief_at(PLACE, states, images, CONFIG.camera)
     disc = np.random.default_rng(0).uniform(-0.008, 0.008, (100, 2))
-    assert not found.flat
-    assert not found.is_flat_at(PLACE + disc)
-    assert found.is_flat_at(PLACE + 0.024 + 0.2 * disc)
-    assert not found.is_flat_at(PLACE + 0.1 + disc), "nothing is known beyond the map"
+    assert not found.in_table_plane
+    assert not found.is_in_table_plane(PLACE + disc)
+    assert found.is_in_table_plane(PLACE + 0.024 + 0.2 * disc)
+    assert not found.is_in_table_plane(PLACE + 0.1 + disc), "nothing is known beyond the map"

@@ -19,21 +19,21 @@ def test_fingerprinting_without_model_raises(tmp_path):
         FingerprintRun(tmp_path / "early")
 
 
-@pytest.mark.parametrize("flat", [True, False])
-def test_summary_of_flat_entropy_names_remedy(flat):
+@pytest.mark.parametrize("low_contrast", [True, False])
+def test_summary_of_low_contrast_names_remedy(low_contrast):
     run = FingerprintRun.__new__(FingerprintRun)
     run._config = Config()
     run.clustering = SimpleNamespace(
-        flat=flat, contrast=1.3, clusters=(), unreachable=(), visible=SimpleNamespace(prints=())
+        low_contrast=low_contrast, contrast=1.3, clusters=(), unreachable=(), visible=SimpleNamespace(prints=())
     )
     flat_summary = "no objects found: the predicted standard deviation varies by 1.3x over the workspace, less than"
-    assert run.summary.startswith(flat_summary) is flat
-    assert run.summary.startswith("0 objects") is not flat
+    assert run.summary.startswith(flat_summary) is low_contrast
+    assert run.summary.startswith("0 objects") is not low_contrast
 
 
 def test_summary_counts_prints_that_clustering_leaves_out():
     run = FingerprintRun.__new__(FingerprintRun)
-    run.clustering = SimpleNamespace(flat=False, contrast=3.0, clusters=(), unreachable=())
+    run.clustering = SimpleNamespace(low_contrast=False, contrast=3.0, clusters=(), unreachable=())
     run.clustering.visible = SimpleNamespace(prints=(None, None))
     run._config = Config.from_dict({"fingerprint": {"clustering": "table"}})
     assert run.summary.endswith("; skipped 2 in the plane of the table (to keep them: fingerprint/prints)")

@@ -24,8 +24,8 @@ _CELL = 0.01
 class ActiveExplorer(ErgodicController):
     """Looks at the part of the table that no image shows yet, and at places that need more views.
 
-    A camera state is worth the area that its view would add, and the open places near it. Without either the target is
-    uniform. The view is taken as the disc that an image shows at any yaw.
+    The target at a camera state grows with the unseen area that its view would show, and with the number of open places
+    near it; without either it is uniform. A view is approximated by the largest disc in an image.
     """
 
     def __init__(self, config: Config, seed: int) -> None:

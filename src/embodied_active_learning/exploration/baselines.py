@@ -10,7 +10,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
 from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.dynamics import DoubleIntegrator
-from embodied_active_learning.exploration.ergodic_objective import flat_distribution
+from embodied_active_learning.exploration.ergodic_objective import uniform_distribution
 from embodied_active_learning.exploration.explorer import Explorer
 from embodied_active_learning.exploration.samples import WorkspaceSamples
 from embodied_active_learning.rng import Stream, generator, generator_state, set_generator_state
@@ -25,7 +25,7 @@ class UniformErgodicExplorer(ErgodicController):
 
     def next_command(self, target: np.ndarray, samples: WorkspaceSamples) -> VelocityCommand:
         """See Explorer."""
-        return super().next_command(flat_distribution(len(target)), samples)
+        return super().next_command(uniform_distribution(len(target)), samples)
 
 
 class RandomWalkExplorer(Explorer):

@@ -177,7 +177,7 @@ def update_windows(horizon: int) -> np.ndarray:
 def window_candidates(controls: np.ndarray, update: np.ndarray, windows: np.ndarray) -> np.ndarray:
     """Return plans (W, H, D) in which one window of the controls is replaced by the update.
 
-    A window takes the update of its first step throughout; the last one, the whole horizon, that of each step.
+    All steps of a window get the update of its first step, but in the last plan each step gets its own update.
 
     Args:
         controls: (H, D) controls of the previous plan.

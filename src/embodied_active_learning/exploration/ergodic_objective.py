@@ -40,7 +40,7 @@ def target_distribution(log_std: np.ndarray, coverage: float) -> np.ndarray:
     return normalise(np.exp(coverage * (log_std - log_std.max())))
 
 
-def flat_distribution(count: int) -> np.ndarray:
+def uniform_distribution(count: int) -> np.ndarray:
     """Return the uniform distribution (count,), the target before anything was learned."""
     return np.full(count, 1.0 / count)
 

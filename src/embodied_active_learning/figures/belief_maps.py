@@ -29,7 +29,7 @@ from embodied_active_learning.figures.workspace_axes import (
     mark_objects,
     show_extent,
 )
-from embodied_active_learning.objects.beliefs import prominence, shared_scale
+from embodied_active_learning.objects.beliefs import above_median, shared_scale
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.scoring import NO_TRUTH, Truth
 from embodied_active_learning.workspace import Workspace
@@ -69,9 +69,9 @@ class BeliefPanel:
     decisions: Sequence[Decision]
 
     @property
-    def prominence(self) -> np.ndarray:
-        """(nx, ny) prominence of the belief."""
-        return prominence(self.mean)
+    def above_median(self) -> np.ndarray:
+        """(nx, ny) mean belief above its median."""
+        return above_median(self.mean)
 
 
 @default_style
@@ -104,7 +104,7 @@ def beliefs_figure(
     maps = [place(figure, left, top, _MAP, _MAP) for left, top in corners]
     if view is not None:
         _draw_view(maps[0], view, workspace, _extent(panels[0]) if panels else extent_of(workspace), truth)
-    limits, image = (0.0, shared_scale(panel.prominence for panel in panels)), None
+    limits, image = (0.0, shared_scale(panel.above_median for panel in panels)), None
     for axes, (left, top), panel in zip(maps[before:], corners[before:], panels):
         image = _draw_map(axes, panel, limits, workspace, truth)
         _draw_note(place(figure, left + _MAP + _GAP, top, _THUMBNAIL, _THUMBNAIL), panel, truth)
@@ -148,7 +148,7 @@ def _draw_map(
 ) -> AxesImage:
     """Draw one belief map with its decisions."""
     extent = _extent(panel)
-    image = draw_map(axes, panel.prominence.T, extent, limits)
+    image = draw_map(axes, panel.above_median.T, extent, limits)
     show_extent(axes, extent)
     draw_box(axes, extent_of(workspace), "white")
     mark_objects(axes, truth.objects, behind=True)

@@ -39,7 +39,12 @@ _SHOWN_YAWS = (1, 3, 5)  # cells in yaw that get their own map
 
 @default_style
 def draw_entropy(
-    path: Path, session: Session, model: TrainedModel, images: SessionImages, objects: Sequence[Location] = ()
+    path: Path,
+    session: Session,
+    model: TrainedModel,
+    images: SessionImages,
+    objects: Sequence[Location] = (),
+    pdf: bool = False,
 ) -> Path:
     """Draw the mean map, visited states and the table from above; below, maps at three yaws. One colour scale."""
     workspace = session.config.workspace.box()
@@ -62,7 +67,7 @@ def draw_entropy(
     bar = figure.colorbar(image, ax=axes, shrink=0.6, pad=0.02)
     bar.set_label(r"conditional entropy: mean ln $\sigma$ of a grey level in [0, 1]", fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
-    return save(figure, path, session.config.session.pdf_figures)
+    return save(figure, path, pdf)
 
 
 def entropy_maps(model: TrainedModel, latents: np.ndarray, workspace: Workspace) -> np.ndarray:

@@ -21,7 +21,7 @@ from embodied_active_learning.figures.style import (
     save,
     style_axes,
 )
-from embodied_active_learning.figures.top_view import SessionImages, load_session_images
+from embodied_active_learning.figures.top_view import TopView
 from embodied_active_learning.figures.workspace_axes import draw_path, draw_top_view
 
 _COLUMN_WIDTH, _LABEL_WIDTH, _ROW_HEIGHT = 3.2, 1.0, 9.2 / 6.6  # inches, of a row of height 1
@@ -43,15 +43,28 @@ class MeasuredRun(Protocol):
 
 @default_style
 def draw_learning_metrics(
-    path: Path, sessions: Sequence[MeasuredRun], load_images: Callable[[Any], SessionImages] = load_session_images
+    path: Path,
+    sessions: Sequence[MeasuredRun],
+    load_path: Callable[[Any], Tuple[np.ndarray, TopView]],
+    pdf: bool = False,
 ) -> Path:
     """Draw a column per world and explorer, with a line per seed.
 
-    load_images: returns the images of a run.
+    Args:
+        path: Where to write the figure.
+        sessions: The runs.
+        load_path: Returns the camera states (N, 3) [m, m, rad] of a run and its table seen from above.
+        pdf: Whether to write the figure as PDF too.
+
+    Returns:
+        The path.
+
+    Raises:
+        SessionError: If there are no runs.
     """
 
     def draw_workspace(axes: Axes, members: Sequence[MeasuredRun]) -> None:
-        _draw_workspace(axes, members[0], load_images(members[0]))
+        _draw_workspace(axes, members[0], *load_path(members[0]))
 
     rows: Sequence[_Row] = (
         (1.0, _draw_active_units),
@@ -69,7 +82,7 @@ def draw_learning_metrics(
             draw(axes, members)
             if index:
                 axes.set_ylabel("")
-    return save(figure, path, sessions[0].config.session.pdf_figures)
+    return save(figure, path, pdf)
 
 
 def _columns(sessions: Sequence[MeasuredRun]) -> Dict[str, List[MeasuredRun]]:
@@ -133,11 +146,11 @@ def _draw_weights(axes: Axes, sessions: Sequence[MeasuredRun]) -> None:
     label(axes, "model update", "weights of\nthe loss")
 
 
-def _draw_workspace(axes: Axes, session: MeasuredRun, images: SessionImages) -> None:
-    """Table from above and path of the camera."""
-    draw_top_view(axes, images.table)
+def _draw_workspace(axes: Axes, session: MeasuredRun, states: np.ndarray, table: TopView) -> None:
+    """Table from above and path of the camera, through states (N, 3)."""
+    draw_top_view(axes, table)
     every_step = bool(np.all(np.diff(session.read_table("exploration")["step"]) == 1))
-    draw_path(axes, images.observations.raw_states, session.config.workspace.box(), joined=every_step)
+    draw_path(axes, states, session.config.workspace.box(), joined=every_step)
 
 
 def _seed(session: MeasuredRun) -> str:

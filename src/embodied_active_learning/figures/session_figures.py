@@ -32,13 +32,14 @@ def draw_session_figures(session: Session, objects: Sequence[Location] = ()) -> 
     """
     folder, pdf = session.paths.figures, session.config.session.pdf_figures
     loaded = load_session_images(session)
-    paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: loaded)]
+    camera_path = loaded.observations.raw_states, loaded.table
+    paths = [draw_learning_metrics(folder / "learning_metrics.png", [session], lambda _: camera_path, pdf)]
     if session.config.may_stop_early and len(session.read_table("stopping")["update"]):
-        paths.append(draw_stopping(folder / "stopping.png", session))
+        paths.append(draw_stopping(folder / "stopping.png", session, pdf))
     trained = load_session_model(session)
     if trained is None:
         _LOG.info("%s has no trained model yet: no entropy map was drawn", session.paths.path)
         return paths
-    paths.append(draw_entropy(folder / "entropy.png", session, trained.model, loaded, objects))
+    paths.append(draw_entropy(folder / "entropy.png", session, trained.model, loaded, objects, pdf))
     paths.append(draw_reconstructions(folder / "reconstructions.png", trained.model, loaded.observations, pdf))
     return paths

@@ -31,7 +31,7 @@ _COUNTS = ("objects", "clusters"), ("undiscovered", "visible, not clustered")
 
 
 @default_style
-def draw_stopping(path: Path, session: Session) -> Path:
+def draw_stopping(path: Path, session: Session, pdf: bool = False) -> Path:
     """Draw the checks of a session's stopping criterion over the observations, with their limits. Return the path."""
     table = session.read_table("stopping")
     observations = table["observations"]
@@ -56,7 +56,7 @@ def draw_stopping(path: Path, session: Session) -> Path:
         for stop in observations[table["stopped"] > 0]:
             axes.axvline(stop, color=colour(1), linewidth=1.0)
     label(shares[-1], "observations", shares[-1].get_ylabel())
-    return save(figure, path, session.config.session.pdf_figures)
+    return save(figure, path, pdf)
 
 
 def _limit(axes: Axes, value: float) -> None:

@@ -34,7 +34,7 @@ from embodied_active_learning.model.optimiser import Optimiser
 from embodied_active_learning.model.replicas import Replicas
 
 ATTEMPTS = 5  # batches tried for one update before an invalid loss counts as divergence
-LOSS_LIMIT = 1e6  # nats per pixel value; a healthy model stays below 1e5 even if it is sure of a wrong image
+LOSS_LIMIT = 1e6  # nats per pixel value; a healthy model stays below 1e5 even if it predicts a wrong image confidently
 BATCHES_STREAM, STATES_STREAM, SUBSET_STREAM, WORKER_STREAM = 201, 202, 203, 204  # of random numbers, for SeedSequence
 
 
@@ -123,7 +123,7 @@ class Learner:
     def update(self, trainers: int = 1) -> UpdateReport:
         """Take one step of Adam on two fresh batches. Paper, Alg. 1, lines 12 to 14.
 
-        Uses only the observations that this update is entitled to (UpdatePlan.observations_needed), even if more are
+        Uses only the observations that this update is allowed to use (UpdatePlan.observations_needed), even if more are
         stored, so that the result depends on the sequence of observations alone.
 
         Args:

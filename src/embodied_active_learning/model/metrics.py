@@ -55,7 +55,7 @@ def reconstruction_error(network: ConditionalVAE, inference: Inference, latents:
 def reconstruction_errors(
     network: ConditionalVAE, inference: Inference, latents: torch.Tensor, subset: Batch
 ) -> ReconstructionErrors:
-    """Compare the subset's own latents (N, L) with those of the previous images, and with none; images in any order."""
+    """Return the errors with the subset's own latents (N, L), with those of its previous image, and with z = 0."""
     alternatives = latents, latents.roll(1, dims=0), torch.zeros_like(latents)
     return ReconstructionErrors(*(reconstruction_error(network, inference, used, subset) for used in alternatives))
 

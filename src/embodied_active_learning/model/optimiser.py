@@ -16,8 +16,9 @@ MOMENTS = ("exp_avg", "exp_avg_sq")
 class Optimiser:
     """Adam (paper, appendix): the image encoder is stepped at once, all other weights in the background.
 
-    Adam waits for memory and leaves the processor idle, which the next batch's convolutions use. Call join() before
-    reading any weight but the image encoder's, or changing any weight or gradient. One thread may call the methods.
+    Adam is limited by memory bandwidth, so the next batch's convolutions can use the processor meanwhile. Call join()
+    before reading any weight but the image encoder's, or changing any weight or gradient. One thread may call the
+    methods.
     """
 
     def __init__(self, network: ConditionalVAE, learning_rate: float) -> None:

@@ -46,7 +46,7 @@ class Replica:
 class Replicas:
     """The network at its last two refreshes. Thread-safe; arrays in, arrays out.
 
-    There are two because training continues while the planner queries the model before: see `min_updates`.
+    There are two because the planner may query an earlier model while training continues, see `min_updates`.
     """
 
     def __init__(self, network: ConditionalVAE, inference: Inference) -> None:

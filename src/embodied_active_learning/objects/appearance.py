@@ -2,9 +2,9 @@
 
 Each view is rectified into the object's coordinates on the table (x and y from the fingerprint's centre, turned with
 it). Pixels that differ from the table's colours are the object's; around them lies a ring that shows the table. Both
-are kept as sample points with the features that the object has there, or would have if it reached that far. Views
-differ by parallax only, so a new view is compared with the stored view from the nearest position relative to the
-object.
+are stored as sample points with features of the object: points of the ring have those of the nearest point of the
+object, which a larger object of the same colours would show. Views differ by parallax only, so a new view is compared
+with the stored view from the nearest position relative to the object.
 
 Assumptions beyond the paper: a camera that looks straight down from a known height, and an object whose visible part
 fits into a square of 12 cm and differs in colour from the table that it was learned on.
@@ -34,17 +34,18 @@ PIXEL = 0.0015
 """Size of one of them [m]."""
 INSIDE_POINTS, RING_POINTS = 256, 192
 _FOREGROUND = 4.0
-"""Distance from the nearest table colour, in standard deviations, from which a pixel is the object's."""
+"""Smallest Mahalanobis distance of an object's pixel from the nearest table colour."""
 _MIN_PIXELS = 60
 """Smallest object in a view: 1.35 cm2."""
 _SIMILAR_AREA = 0.25
-"""Smallest share of the median area at which a view is used: others were cut by the image's border."""
+"""Smallest area of the object in a usable view, relative to the median: smaller ones are cut by the border."""
 _MIN_VIEWS = 8
-"""Usable views: the calibration holds out five, which are compared with the others."""
+"""Smallest number of usable views: the calibration holds out five, which are compared with the others."""
 _CLUTTER = 0.1
-"""Largest area around the object, relative to its own, with colours of neither the object nor the table elsewhere."""
+"""Largest area of foreground beside the object, relative to the object's area."""
 _OFF_CENTRE = SIDE / 6
-"""Distance from the centre, in pixels, at which a region counts 0.6 of its size: 2 cm, beyond the error of a centre."""
+"""Standard deviation [px] of the Gaussian that weights a region by its distance from the centre: 2 cm, more than the
+error of a centre."""
 _MIDDLE = slice(SIDE // 2 - 5, SIDE // 2 + 5)
 """Rows and columns of the rectified pixels in the middle, which show the object: 1.5 cm."""
 _CROSS: np.ndarray = np.ones((3, 3), np.uint8)
@@ -60,7 +61,7 @@ class Appearance:
         offsets: (V, 2) camera positions relative to the object [m], in the object's coordinates.
         usable: (V,) whether the view shows the object well enough to be compared with.
         inside_points: (V, I, 2) points of the object [m]. Its features there are inside_features (V, I, 3).
-        ring_points: (V, R, 2) points around it. The features of its nearest edge are ring_features (V, R, 3).
+        ring_points: (V, R, 2) points of the table around it. The object's nearest features are ring_features (V, R, 3).
         colours: (V, SIDE, SIDE, 3) uint8, the rectified views; rows along the object's y, columns along its x.
         in_view: (V, SIDE, SIDE) which of their pixels the image shows.
         masks: (V, SIDE, SIDE) which of them are the object's.
@@ -90,7 +91,7 @@ class Appearance:
         self.problem = self._problem(clutter)
 
     def nearest_views(self, offsets: np.ndarray, excluded: Union[Sequence[int], np.ndarray] = ()) -> np.ndarray:
-        """Return the usable views (N,) from next to relative camera positions (N, 2) [m], without some of them."""
+        """Return the usable view (N,) nearest to each relative camera position (N, 2) [m], except excluded ones."""
         distance = np.square(self.offsets - offsets[:, None]).sum(axis=2)
         distance[:, ~self.usable] = np.inf
         distance[:, list(excluded)] = np.inf
@@ -107,7 +108,7 @@ class Appearance:
 
     @property
     def central_view(self) -> int:
-        """The usable view from most directly above."""
+        """Index of the usable view whose camera was nearest to the object's centre."""
         return int(self.nearest_views(np.zeros((1, 2)))[0])
 
     def _rectified(self) -> Tuple[np.ndarray, np.ndarray]:
@@ -130,7 +131,7 @@ class Appearance:
             fingerprints: All fingerprints of the set.
 
         Returns:
-            Masks (V, SIDE, SIDE) of the object, and the number of pixels (V,) around it with colours of neither.
+            Masks (V, SIDE, SIDE) of the object, and the number (V,) of foreground pixels beside it.
         """
         middle = colour_features(self.colours[:, _MIDDLE, _MIDDLE][self.in_view[:, _MIDDLE, _MIDDLE]])
         table = _table(self.fingerprint, fingerprints, middle, self.camera)
@@ -144,7 +145,7 @@ class Appearance:
         return masks, clutter
 
     def _sample(self, features: Sequence[np.ndarray]) -> None:
-        """Draw the sample points of all views, with features (SIDE, SIDE, 3) each, that show enough of the object."""
+        """Draw the sample points of each view with enough of the object. features: (SIDE, SIDE, 3) of each view."""
         views, random = len(self.masks), np.random.default_rng(0)
         self.inside_points: np.ndarray = np.zeros((views, INSIDE_POINTS, 2), np.float32)
         self.inside_features: np.ndarray = np.zeros((views, INSIDE_POINTS, 3), np.float32)
@@ -193,7 +194,7 @@ def sample_image(
 
 
 def grid_cells(points: np.ndarray) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row, column and whether it exists, of the rectified pixel at points (..., 2) of the object [m]."""
+    """Return row and column of the rectified pixel at points (..., 2) [m], clipped, and whether they were inside."""
     cells = np.floor(points / PIXEL + SIDE / 2).astype(np.int32)
     inside = ((cells >= 0) & (cells < SIDE)).all(axis=-1)
     cells = np.clip(cells, 0, SIDE - 1)
@@ -214,8 +215,8 @@ def _table(
 ) -> TableColours:
     """The table's colours: around this fingerprint, and around the others of its set.
 
-    A colour of the table is shown by several places. Those of an object that reaches far may be too; around this
-    fingerprint they are left out if the middle of its views, with features (N, 3), has them and the others do not.
+    Colours around this fingerprint are left out if the middle of its views, with features (N, 3), has them but no other
+    fingerprint's surroundings do: they belong to an object that reaches beyond OBJECT_REACH.
     """
     own = table_features(fingerprint, fingerprints, camera)
     others = [table_features(item, fingerprints, camera) for item in fingerprints if item is not fingerprint]
@@ -239,7 +240,7 @@ def _away_from_others(fingerprint: Fingerprint, fingerprints: Sequence[Fingerpri
 
 
 def _object_mask(foreground: np.ndarray) -> np.ndarray:
-    """The connected region (SIDE, SIDE) of the foreground that is large and near the centre; its gaps closed."""
+    """Mask (SIDE, SIDE) of the largest foreground region, weighted by distance from the centre; gaps closed."""
     cleaned = cv2.morphologyEx(foreground.astype(np.uint8), cv2.MORPH_OPEN, _CROSS)
     cleaned = cv2.morphologyEx(cleaned, cv2.MORPH_CLOSE, _CLOSING)
     count, labels, statistics, centres = cv2.connectedComponentsWithStats(cleaned)
@@ -251,7 +252,7 @@ def _object_mask(foreground: np.ndarray) -> np.ndarray:
 
 
 def _extended(features: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Features (SIDE, SIDE, 3) where pixels outside have those of the nearest pixel inside."""
+    """Extend features (SIDE, SIDE, 3): each pixel outside gets those of the nearest pixel inside."""
     outside: np.ndarray = (~inside).astype(np.uint8)
     _, found = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     labels = np.asarray(found)

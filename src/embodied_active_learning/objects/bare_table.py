@@ -16,13 +16,13 @@ from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic
 RADIUS = 0.045
 """Radius of the place that has to be bare [m]."""
 _KNOWN = 4.0
-"""Distance from the nearest table colour, in standard deviations, up to which a pixel is the table's."""
+"""Largest Mahalanobis distance of a table pixel from the nearest table colour."""
 _GAINS = np.arange(-0.7, 0.51, 0.1)
 """Log gains between the learned table and this one, that is, brightness 0.5 to 1.6."""
 _KNOWN_TABLE = 0.5
-"""Share of the scene below which its table is another one."""
+"""Share of table pixels in the scene below which its table is unknown."""
 _MIN_BARE = 0.9
-"""Share of table pixels of a bare place, also if the fingerprint's own views show less of the table."""
+"""Smallest share of table pixels of a bare place, even if the fingerprint's own views show less of the table."""
 _STRIDE = 4
 
 
@@ -44,18 +44,18 @@ class BareTable:
     """The table around a blank fingerprint."""
 
     def __init__(self, fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], camera: CameraConfig) -> None:
-        """Learn its colours from all fingerprints of the set, and from the blank's views how well they explain it."""
+        """Fit the table's colours to all fingerprints of the set, and measure their share in the blank's own views."""
         parts = [table_features(item, fingerprints, camera) for item in fingerprints]
         self._colours = TableColours([part for part in parts if len(part)])
         self._own_shares = np.sort([self._share(view, fingerprint, camera) for view in range(len(fingerprint.states))])
 
     def limit(self, error_rate: float) -> float:
-        """Share of table pixels that all but a rate of the own views reach (conformal), and at least _MIN_BARE."""
+        """Return the smallest share of table pixels of a bare place: the conformal quantile of the own views."""
         rank = int(error_rate * (len(self._own_shares) + 1))
         return max(float(self._own_shares[max(rank - 1, 0)]), _MIN_BARE)
 
     def confidence(self, share: float) -> float:
-        """Share of the own views that show the table less clearly; conformal, so below 1."""
+        """Return the share of the own views with at most this share of table pixels; conformal, so below 1."""
         return float(np.searchsorted(self._own_shares, share, side="right")) / (len(self._own_shares) + 1)
 
     def search(self, mosaic: Mosaic) -> BarePlace:

@@ -21,7 +21,7 @@ from embodied_active_learning.workspace import Workspace
 _PRIOR_MEAN = 0.5
 _PRIOR_VARIANCE = 2.0
 _MIN_RANGE = 0.05
-"""Smallest range of a scale: small variations of flat beliefs do not look like peaks."""
+"""Smallest range of a scale: small variations of uniform beliefs do not look like peaks."""
 _BATCH = 16
 """Measurements per matrix product: few enough to stay in the CPU cache."""
 
@@ -115,16 +115,16 @@ class BeliefGrid:
         best = mean.argmax(axis=2)[..., None]
         return np.take_along_axis(mean, best, 2)[..., 0], np.take_along_axis(self.std, best, 2)[..., 0]
 
-    def prominence(self) -> np.ndarray:
-        """Return the prominence (nx, ny) of the largest mean over yaw."""
-        return prominence(self.over_yaw()[0])
+    def above_median(self) -> np.ndarray:
+        """Return the height (nx, ny) of the largest mean over yaw above its median over the grid."""
+        return above_median(self.over_yaw()[0])
 
-    def peaks(self, distance: float, most: int) -> List[Peak]:
+    def peaks(self, distance: float, max_count: int) -> List[Peak]:
         """Return local maxima inside the workspace, highest first.
 
         Args:
             distance: Smallest distance [m] between two peaks.
-            most: Largest number of peaks.
+            max_count: Largest number of peaks.
         """
         mean = self.mean
         highest = np.where(self._inside, mean.max(axis=2), -1.0)
@@ -139,7 +139,7 @@ class BeliefGrid:
             if all(np.hypot(*(pose - other.pose)[:2]) >= distance for other in found):
                 top, std = float(highest[row, column]), 1.0 / math.sqrt(self._information[row, column, yaw])
                 found.append(Peak(pose, top, std))
-            if len(found) == most:
+            if len(found) == max_count:
                 break
         return found
 
@@ -153,12 +153,12 @@ class BeliefGrid:
         information = self._information[cell]
         return float(self._weighted[cell] / information), float(1.0 / math.sqrt(information))
 
-    def yaw_peaks(self, pose: np.ndarray, most: int) -> List[float]:
+    def yaw_peaks(self, pose: np.ndarray, max_count: int) -> List[float]:
         """Return yaws [rad] of local maxima in the cell of a pose (3,), highest first, or its own yaw."""
         row, column = np.abs(self.x - pose[0]).argmin(), np.abs(self.y - pose[1]).argmin()
         mean = self._weighted[row, column] / self._information[row, column]
         top = np.flatnonzero((mean >= np.roll(mean, 1)) & (mean > np.roll(mean, -1)))
-        return [float(self.yaw[index]) for index in top[np.argsort(-mean[top], kind="stable")][:most]] or [pose[2]]
+        return [float(self.yaw[index]) for index in top[np.argsort(-mean[top], kind="stable")][:max_count]] or [pose[2]]
 
     def _covers(self, poses: np.ndarray) -> np.ndarray:
         """Whether each of the poses (N, 3) lies on the grid: (N,) bool."""
@@ -166,14 +166,14 @@ class BeliefGrid:
         return (self.x[0] <= x) & (x <= self.x[-1]) & (self.y[0] <= y) & (y <= self.y[-1])
 
 
-def prominence(values: np.ndarray) -> np.ndarray:
-    """Return a map (nx, ny) above its median: most of a map is background at about the median."""
+def above_median(values: np.ndarray) -> np.ndarray:
+    """Subtract the median from a map (nx, ny): most of a map is background at about its median."""
     return values - np.median(values)
 
 
-def shared_scale(reliefs: Iterable[np.ndarray]) -> float:
-    """Return the largest prominence of several maps (nx, ny), the end of their common scale."""
-    return max([_MIN_RANGE, *(float(relief.max()) for relief in reliefs)])
+def shared_scale(maps: Iterable[np.ndarray]) -> float:
+    """Return the end of the common colour scale of maps (nx, ny) from above_median: their largest value."""
+    return max([_MIN_RANGE, *(float(one.max()) for one in maps)])
 
 
 class EvidenceWeights:

@@ -1,10 +1,12 @@
-"""Calibration of a fingerprint: the similarity is computed where the truth is known.
+"""Calibration of a fingerprint: similarities in simulated places, where the truth is known.
 
-Views held out from the comparison are simulated in other places (true), and look-alikes of the object (false); see
-limits for what follows from them. A decision may be made after any of several evaluations of a place, between which
-views were added. A simulated place is therefore also evaluated repeatedly, each time with the least number of views, of
-which one is replaced, and the most unfavourable result counts: the smallest similarity of a true place, the largest of
-a look-alike. The limits then hold for all evaluations together, whenever the decision is made.
+Held-out views are compared with the other views after a change of table and light: with the object itself (true) and
+with look-alikes of it (false). limits.py derives the limits from both.
+
+In a run a place is evaluated several times while views are added, and each evaluation may decide. A simulated place is
+therefore evaluated several times too, with MIN_VIEWS views of which one is replaced each time, and the worst result
+counts: the smallest similarity of a true place, the largest of a look-alike. The limits then hold whichever evaluation
+decides.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ def calibrate(appearance: Appearance, trials: int) -> Calibration:
 
 
 def _true_similarity(appearance: Appearance, random: np.random.Generator) -> float:
-    """Smallest similarity of held-out views in a simulated place, compared with the other views."""
+    """Smallest similarity of held-out views, with another table and light, to the other views."""
     chosen = draw_views(appearance, random, _VIEWS)
     start = appearance.fingerprint.centre + random.normal(0.0, _SHIFT)
     return min(_evaluated(appearance, SimulatedViews(appearance, random), chosen, start[None]))

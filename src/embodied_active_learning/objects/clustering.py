@@ -68,7 +68,7 @@ class Clustering:
 
     Attributes:
         contrast: Largest over smallest predicted standard deviation.
-        flat: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
+        low_contrast: Whether the contrast is below `fingerprint/min_contrast`; there are no clusters then.
         clusters: Objects, largest share first, then the blank region, if it was located.
         unreachable: Objects over whose centre the camera cannot be moved.
         visible: All visible things, whether or not the model has learned them, and prints, which the clustering of
@@ -77,7 +77,7 @@ class Clustering:
     """
 
     contrast: float
-    flat: bool
+    low_contrast: bool
     clusters: Tuple[Cluster, ...]
     unreachable: Tuple[Cluster, ...]
     visible: ForegroundMap
@@ -116,7 +116,9 @@ def find_objects(
     background = _background(model, latents, states, images)
     visible = map_foreground(states, images, background, config)
     if contrast < settings.min_contrast:
-        return Clustering(contrast, flat=True, clusters=(), unreachable=(), visible=visible, background=background)
+        return Clustering(
+            contrast, low_contrast=True, clusters=(), unreachable=(), visible=visible, background=background
+        )
     weights = (std / std.max()) ** settings.exponent
     samples = proposals[random.choice(len(proposals), settings.samples, p=weights / weights.sum())]
     if settings.clustering == TABLE:
@@ -128,7 +130,7 @@ def find_objects(
     blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
     return Clustering(
         contrast,
-        flat=False,
+        low_contrast=False,
         clusters=(*(cluster for cluster, within in zip(objects, reachable) if within), *blanks),
         unreachable=tuple(cluster for cluster, within in zip(objects, reachable) if not within),
         visible=visible,
@@ -233,7 +235,7 @@ def _is_near(things: np.ndarray, centre: np.ndarray, distance: float) -> bool:
 
 
 def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:
-    """Circular mean of yaws (M,) [rad]; those on both sides of the limits have a mean beyond them, which is clipped."""
+    """Circular mean of yaws (M,) [rad], clipped: the mean of yaws near both limits may lie beyond one of them."""
     mean = float(wrap(np.arctan2(np.sin(yaws).sum(), np.cos(yaws).sum())))
     return min(max(mean, workspace.lower[2]), workspace.upper[2])
 

@@ -1,9 +1,11 @@
 """Colour features that change little with the light, and the colours of the table.
 
 A feature is (log luminance, red and green share of the colour). A change of brightness adds a constant to the first
-component and leaves the others, so light can be corrected where images are compared; so can the white balance. Dark
-pixels are an exception: constants keep their features stable, see log_luminance and dark_factor. Shares are multiplied
-by three: a small relative change of one channel is then about as large in either kind of component.
+component and leaves the others, so light can be corrected where images are compared; so can the white balance. Shares
+are multiplied by three: a small relative change of one channel is then about as large in either kind of component.
+
+Noise would dominate the features of dark pixels. Features are therefore regularised: constants are added to the
+luminance before its logarithm is taken, and to the sum of the channels before they are divided by it.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ GRADIENT_UNIT = 0.05
 _WHITE = 765
 """Sum of the channels of a white pixel."""
 _DARK_LUMINANCE, _DARK_COLOUR = 0.02, 0.03
-"""Added to luminance and to the sum of channels (1 and 3 are white), so that dark pixels have stable features."""
-_LEAST_LUMINANCE = 0.004
-"""Least luminance (1 is white) for which features are corrected: one level in each channel."""
+"""Regularisation: added to the luminance and to the sum of the channels (1 and 3 are white)."""
+_MIN_LUMINANCE = 0.004
+"""Lower limit of the luminance (1 is white) of features: one level in each channel."""
 _LEVELS: np.ndarray = np.arange(_WHITE + 1, dtype=np.float32)
 _LOG_LUMINANCE = np.log(_LEVELS / _WHITE + _DARK_LUMINANCE)
 _SHARE: np.ndarray = (3.0 / (_LEVELS + 255.0 * _DARK_COLOUR)).astype(np.float32)
@@ -37,10 +39,10 @@ _MEDIAN_OF_NORMAL = 0.6745
 _CLUSTERS = 8
 _FIT_PIXELS = 8000
 _MIN_SHARE = 0.005
-"""Share of a place's pixels from which a colour belongs to it."""
+"""Smallest share of a place's pixels that a colour of the place has."""
 _STRIDE = 5
 _NOISE = 0.03
-"""Smallest standard deviation of a table colour, in features: a plain table has none."""
+"""Standard deviation added to that of a table colour, in features: that of a plain table may be zero."""
 OBJECT_REACH = 0.065
 """Distance from the centre of a fingerprint beyond which its views show the table [m]."""
 
@@ -65,7 +67,7 @@ def noise_level(image: np.ndarray) -> float:
 
 @lru_cache(maxsize=64)
 def _without_bias(noise: float) -> np.ndarray:
-    """Value (256,) uint8 whose mean under this noise, cut off at 0 and 255, is 0, 1, ... 255."""
+    """Lookup table (256,) uint8 from the mean of a pixel with clipped noise to its value without noise."""
     values: np.ndarray = np.linspace(-3.0 * noise, 255.0 + 3.0 * noise, 4096)
     dark, bright = values / noise, (255.0 - values) / noise
     raised = noise * _normal_density(dark) - values * ndtr(-dark)
@@ -85,30 +87,30 @@ def colour_features(colours: np.ndarray) -> np.ndarray:
 
 
 def colour_distance(change: np.ndarray) -> np.ndarray:
-    """Squared distance (...) of the three shares, given the change of red and green (..., 2): blue is the rest."""
+    """Return the squared length (...) of a change of the three shares, which sums to 0: (..., 2) of red and green."""
     red, green = change[..., 0], change[..., 1]
     return red**2 + green**2 + (red + green) ** 2
 
 
 def colours_of(features: np.ndarray) -> np.ndarray:
-    """Return the colours (..., 3) of features (..., 3), between 0 and 255 but for impossible features; not rounded."""
+    """Return the colours (..., 3) of features (..., 3), not rounded; outside 0 to 255 if no colour has the features."""
     total = _WHITE * np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, 0.0)
     shown = features[..., 1:] * ((total + 255.0 * _DARK_COLOUR) / 3.0)[..., None]
     return np.concatenate([shown, (total - shown.sum(axis=-1))[..., None]], axis=-1)
 
 
 def luminance_of(features: np.ndarray) -> np.ndarray:
-    """Return the luminance (...) of features (..., 3): 1 is white, the least is one level in each channel."""
-    return np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, _LEAST_LUMINANCE)
+    """Return the luminance (...) of features (..., 3): 1 is white, at least _MIN_LUMINANCE."""
+    return np.maximum(np.exp(features[..., 0]) - _DARK_LUMINANCE, _MIN_LUMINANCE)
 
 
 def log_luminance(luminance: np.ndarray) -> np.ndarray:
-    """Return the first feature of pixels with a luminance: its logarithm, but for what is added to dark pixels."""
+    """Return the regularised log luminance: the first feature of pixels with a luminance."""
     return np.asarray(np.log(luminance + _DARK_LUMINANCE))
 
 
 def dark_factor(luminance: np.ndarray) -> np.ndarray:
-    """Return the factor by which what is added to dark pixels lowers the shares of pixels with a luminance."""
+    """Return the ratio of the regularised to the true colour share at a luminance."""
     return np.asarray(luminance / (luminance + _DARK_COLOUR / 3.0))
 
 
@@ -116,7 +118,7 @@ def balance_jacobian(features: np.ndarray) -> np.ndarray:
     """Return the Jacobian (..., 2, 2) of the red and green shares of features (..., 3) under white balance.
 
     The variables are the log gains of red and of green relative to blue. White balance multiplies channels, so it
-    moves the share of a channel that is already dark little.
+    hardly changes the share of a dark channel.
     """
     shares = features[..., 1:]
     diagonal = shares[..., None] * np.eye(2, dtype=np.float32)
@@ -126,14 +128,14 @@ def balance_jacobian(features: np.ndarray) -> np.ndarray:
 class TableColours:
     """The colours of the bare table: clusters, each with its covariance."""
 
-    def __init__(self, places: Sequence[np.ndarray], least_share: float = 0.0) -> None:
+    def __init__(self, places: Sequence[np.ndarray], min_share: float = 0.0) -> None:
         """Fit to features (N, 3) of pixels around several places of the table.
 
-        Colours that only one place shows are left out: they may be those of an object that reaches far.
+        Colours that only one place shows are left out: they may belong to a large object.
 
         Args:
             places: (N, 3) features of each place, N >= 1.
-            least_share: Share of the places that must show a colour.
+            min_share: Share of the places that must show a colour.
         """
         random = np.random.default_rng(0)
         drawn = [
@@ -149,7 +151,7 @@ class TableColours:
         table = np.zeros((len(places), count))
         np.add.at(table, (source, labels), 1.0)
         table /= np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-        common = (table > _MIN_SHARE).sum(axis=0) >= max(min(2, len(places)), least_share * len(places))
+        common = (table > _MIN_SHARE).sum(axis=0) >= max(min(2, len(places)), min_share * len(places))
         kept = np.flatnonzero(common) if common.any() else np.array([int(table.sum(axis=0).argmax())])
         self._centres = np.asarray(centres)[kept]
         self._whitening: List[np.ndarray] = []
@@ -169,7 +171,7 @@ def table_features(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]
 
     Args:
         fingerprint: Whose views are used.
-        fingerprints: All of its set; what is near the centre of an object among them is no table.
+        fingerprints: All of its set; pixels near the centre of an object among them are left out.
         camera: The camera of the views.
     """
     rows, columns = np.mgrid[0 : camera.height : _STRIDE, 0 : camera.width : _STRIDE]

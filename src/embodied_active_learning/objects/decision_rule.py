@@ -7,8 +7,9 @@ one accepted error rate, see calibration. The alternative (`belief`) is a limit 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import List, Optional, Sequence, Tuple
+from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -17,9 +18,10 @@ from embodied_active_learning.geometry import pose_distance, to_base_frame
 from embodied_active_learning.objects.beliefs import Peak
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
+from embodied_active_learning.objects.limits import Limits
 from embodied_active_learning.objects.matching import Matches
 from embodied_active_learning.objects.pose_search import MIN_VIEWS, Candidate, propose, refine
-from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
+from embodied_active_learning.objects.scene_views import Mosaic, ObservedScene, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
 
 _YAWS = 3
@@ -27,151 +29,71 @@ _YAWS = 3
 _REFINEMENT_DISTANCE = 0.02  # m
 _REFINEMENT_TURN = 0.5  # rad
 _CLEARLY_BELOW = 0.5
-"""Share of the miss limit that an object reaches also in few or distant views."""
+"""Factor of the miss limit below which an object is absent even if its views are few or distant."""
 _MAX_TABLE_MATCH = 0.3
-"""Share of the scene with the object's colours above which similarities just below the miss limit decide nothing."""
+"""Share of the scene with the object's colours above which values just below the miss limit leave it open."""
 
 
-class DecisionRule:
-    """Decides for the fingerprints of one model, by views or by belief."""
+class TargetResult(NamedTuple):
+    """What is decided about a target.
+
+    Attributes:
+        target: The target.
+        candidates: Decisions about its candidate places, without regard to other targets.
+        decisions: Found instances, or one other decision.
+        is_open: Whether more images may change the decisions.
+        open_places: Places (2,) [m] about which more views may decide.
+    """
+
+    target: SearchTarget
+    candidates: List[Decision]
+    decisions: List[Decision]
+    is_open: bool
+    open_places: List[np.ndarray]
+
+
+class DecisionRule(ABC):
+    """Decides for the fingerprints of one model."""
 
     def __init__(self, settings: IdentificationConfig) -> None:
-        """Use the criterion and the error rate of the settings."""
+        """Use the limits of the settings."""
         self._settings = settings
 
-    def decide(self, targets: Sequence[SearchTarget], views: SceneViews, mosaic: Mosaic) -> List[Decision]:
-        """Decide for every target. Of several objects at one place, the most similar one is found there.
+    @abstractmethod
+    def candidates(self, target: SearchTarget, scene: ObservedScene) -> List[Decision]:
+        """Decide for each candidate place of a target, without regard to other targets."""
+
+    @abstractmethod
+    def is_open(self, target: SearchTarget, resolved: Sequence[Decision], scene: ObservedScene) -> bool:
+        """Return whether more images may change what is decided about a target, given its resolved candidates."""
+
+    @abstractmethod
+    def open_places(self, target: SearchTarget, resolved: Sequence[Decision]) -> List[np.ndarray]:
+        """Return the places (2,) [m] of a target's resolved candidates about which more views may decide."""
+
+    @abstractmethod
+    def rank(self, decision: Decision) -> float:
+        """Return the position of a decision among those of one place: the lowest one wins."""
+
+    def decide(
+        self, targets: Sequence[SearchTarget], scene: ObservedScene, closed: Mapping[str, List[Decision]]
+    ) -> List[TargetResult]:
+        """Decide for every target. Of several objects at one place, the first one by rank is found there.
 
         Args:
             targets: Fingerprints of one model.
-            views: The images observed so far.
-            mosaic: The same images as one.
+            scene: The images observed so far.
+            closed: Candidates of targets by label, which are not evaluated again.
         """
-        groups = self.resolve([self.candidates(target, views, mosaic) for target in targets])
-        return [decision for group in groups for decision in best_decisions(group)]
-
-    def resolve(self, groups: Sequence[Sequence[Decision]]) -> List[List[Decision]]:
-        """Reject candidates of each target of a model at whose place another target of the model is more similar."""
+        groups = [closed.get(target.label) or self.candidates(target, scene) for target in targets]
         winners = self._winners([candidate for group in groups for candidate in group])
-        return [[_resolved(candidate, winners) for candidate in group] for group in groups]
-
-    def is_open(self, target: SearchTarget, group: Sequence[Decision], mosaic: Mosaic) -> bool:
-        """Return whether more images may change what is decided about a target, given its resolved candidates."""
-        if self._settings.decision == BELIEF:
-            return True  # a belief states no error rate at which it could stop
-        if any(candidate.found for candidate in group) or target.problem:
-            return False
-        return mosaic.coverage < self._settings.min_coverage or bool(self.open_places(target, group))
-
-    def open_places(self, target: SearchTarget, group: Sequence[Decision]) -> List[np.ndarray]:
-        """Return the places (2,) [m] of a target's candidates about which more views may decide."""
-        if target.fingerprint.kind == BLANK or target.problem:
-            return []
-        miss = target.calibration.limits(self._settings.error_rate).miss
-        return [
-            item.pose[:2]
-            for item in group
-            if item.outcome == UNDECIDED
-            and (item.views < MIN_VIEWS or (item.views < self._settings.views and 1.0 - item.residual >= miss))
-        ]
-
-    def candidates(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
-        """Decide for each candidate place of a target, without regard to other targets."""
-        if self._settings.decision == BELIEF:
-            peaks = target.grid.peaks(self._settings.separation, self._settings.candidates)
-            return [self._by_belief(target, peak) for peak in peaks]
-        if target.fingerprint.kind == BLANK:
-            return [self._blank(target, mosaic)]
-        if target.problem:
-            pose = target.grid.peaks(self._settings.separation, 1)[0].pose
-            return [self._decision(target, pose, UNDECIDED, target.problem)]
-        return self._by_views(target, views, mosaic)
-
-    def _by_views(self, target: SearchTarget, views: SceneViews, mosaic: Mosaic) -> List[Decision]:
-        """Compare the views of each candidate place with the fingerprint."""
-        settings = self._settings
-        places, table_match = propose(mosaic, target.appearance, settings.candidates)
-        if settings.candidates_from == FROM_BELIEF:
-            peaks = target.grid.peaks(settings.separation, settings.candidates)
-            places = [_starts(target, peak) for peak in peaks]
-        miss = target.calibration.limits(settings.error_rate).miss
-        found = [
-            refine(target.appearance, views, starts, settings, mosaic.above(starts[0, :2]), miss) for starts in places
-        ]
-        unseen = self._unseen(mosaic)
-        decisions: List[Decision] = []
-        for candidate in sorted(found, key=lambda item: -item.similarity):
-            apart = [pose_distance(candidate.pose, other.pose)[0] >= settings.separation for other in decisions]
-            if all(apart):
-                decisions.append(self._judge(target, candidate, views, unseen, table_match))
-        return decisions
-
-    def _unseen(self, mosaic: Mosaic) -> str:
-        """Why the absence of an object could not be stated for lack of images; empty if it could."""
-        if mosaic.coverage < self._settings.min_coverage:
-            return f"only {100 * mosaic.coverage:.0f} % of the workspace seen: take more images"
-        return ""
-
-    def _judge(
-        self, target: SearchTarget, candidate: Candidate, views: SceneViews, unseen: str, table_match: float
-    ) -> Decision:
-        """Decide at a candidate pose, given why absence cannot be stated and the share of the scene in its colours."""
-        limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
-        if candidate.near < MIN_VIEWS and not _is_clearly_below(value, limits.miss):
-            outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
-        elif value >= limits.miss and target.has_height and _is_flat(target, views, candidate.pose):
-            outcome = NOT_HERE
-            reason = f"similarity {value:.2f}, but the place lies in the plane of the table"
-        elif value >= limits.found:
-            outcome = FOUND
-            reason = f"similarity {value:.2f}, limit {limits.found:.2f}"
-        elif value >= limits.miss:
-            outcome = UNDECIDED
-            reason = (
-                f"similarity {value:.2f}, but objects of its colour or shape reach {limits.look_alike:.2f}: look "
-                "at the place, or take a fingerprint that shows more of what distinguishes it"
-            )
-        elif unseen:
-            outcome, reason = UNDECIDED, f"best similarity {value:.2f}, but {unseen}"
-        # On a table of its colours an object is hardly more similar than the table around it.
-        elif table_match > _MAX_TABLE_MATCH and not _is_clearly_below(value, limits.miss, 1.0 - table_match):
-            outcome = UNDECIDED
-            reason = (
-                f"best similarity {value:.2f}, but {100 * table_match:.0f} % of the scene has the object's colours: "
-                "use another table"
-            )
-        else:
-            outcome = NOT_HERE
-            reason = f"best similarity {value:.2f}, limit {limits.miss:.2f}"
-        return replace(
-            self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
-            confidence=target.calibration.confidence(value),
-            residual=1.0 - value if candidate.near >= MIN_VIEWS else np.inf,
-            views=candidate.near,
-        )
-
-    def _blank(self, target: SearchTarget, mosaic: Mosaic) -> Decision:
-        """Decide whether the learned table is bare somewhere."""
-        found, limit = target.bare_table.search(mosaic), target.bare_table.limit(self._settings.error_rate)
-        pose = np.array([*found.place, target.fingerprint.centre[2]])
-        if found.share >= limit:
-            outcome, reason = FOUND, f"{100 * found.share:.0f} % of the place has the table's colours"
-        elif not found.known:
-            outcome, reason = UNDECIDED, "this table is unknown: learn it to search for bare places"
-        elif mosaic.coverage < self._settings.min_coverage:
-            outcome, reason = UNDECIDED, self._unseen(mosaic)
-        else:
-            outcome, reason = NOT_HERE, f"at most {100 * found.share:.0f} % of any place has the table's colours"
-        confidence = target.bare_table.confidence(found.share)
-        decision = self._decision(target, pose, outcome, reason)
-        return replace(decision, confidence=confidence, residual=1.0 - found.share, views=int(mosaic.coverage > 0.0))
-
-    def _by_belief(self, target: SearchTarget, peak: Peak) -> Decision:
-        """Decide at a peak of the belief by its mean."""
-        found = peak.mean > self._settings.min_belief
-        reason = f"belief {peak.mean:.2f} {'above' if found else 'not above'} {self._settings.min_belief:g}"
-        decision = self._decision(target, _refined(peak.pose, target.trace), FOUND if found else NOT_HERE, reason)
-        return replace(decision, belief_mean=peak.mean, belief_std=peak.std, confidence=peak.mean)
+        results = []
+        for target, group in zip(targets, groups):
+            resolved = [_resolved(candidate, winners) for candidate in group]
+            is_open = self.is_open(target, resolved, scene)
+            places = self.open_places(target, resolved) if is_open else []
+            results.append(TargetResult(target, group, _best_decisions(resolved), is_open, places))
+        return results
 
     def _decision(self, target: SearchTarget, pose: np.ndarray, outcome: str, reason: str) -> Decision:
         """A decision at a pose without a comparison of views."""
@@ -192,16 +114,11 @@ class DecisionRule:
             reason=reason,
         )
 
-    def _rank(self, decision: Decision) -> Tuple[float, ...]:
-        """Order among claims of one place: the first one wins."""
-        by_belief = self._settings.decision == BELIEF
-        return (-decision.belief_mean,) if by_belief else (decision.residual,)
-
     def _winners(self, candidates: Sequence[Decision]) -> List[Tuple[Decision, Decision]]:
         """Pair each found candidate with the winner of its place: itself, or a better one of the same kind."""
         accepted: List[Decision] = []
         winners: List[Tuple[Decision, Decision]] = []
-        for candidate in sorted((item for item in candidates if item.found), key=self._rank):
+        for candidate in sorted((item for item in candidates if item.found), key=self.rank):
             winner = next((other for other in accepted if self._compete(candidate, other)), candidate)
             winners.append((candidate, winner))
             if winner is candidate:
@@ -214,17 +131,167 @@ class DecisionRule:
         return bool(one.kind == other.kind and one.fingerprint != other.fingerprint and near)
 
 
+class ViewRule(DecisionRule):
+    """Compares views of candidate places with the fingerprint's own views (`identification/decision: verified`)."""
+
+    def candidates(self, target: SearchTarget, scene: ObservedScene) -> List[Decision]:
+        """Compare views of each candidate place, and decide by the limits of the similarity."""
+        if target.fingerprint.kind == BLANK:
+            return [self._blank(target, scene.mosaic)]
+        if target.problem:
+            pose = target.grid.peaks(self._settings.separation, 1)[0].pose
+            return [self._decision(target, pose, UNDECIDED, target.problem)]
+        settings, mosaic = self._settings, scene.mosaic
+        places, table_match = propose(mosaic, target.appearance, settings.candidates)
+        if settings.candidates_from == FROM_BELIEF:
+            peaks = target.grid.peaks(settings.separation, settings.candidates)
+            places = [_starts(target, peak) for peak in peaks]
+        miss = target.calibration.limits(settings.error_rate).miss
+        found = [
+            refine(target.appearance, scene.views, starts, settings, mosaic.above(starts[0, :2]), miss)
+            for starts in places
+        ]
+        decisions: List[Decision] = []
+        for candidate in sorted(found, key=lambda item: -item.similarity):
+            apart = [pose_distance(candidate.pose, other.pose)[0] >= settings.separation for other in decisions]
+            if all(apart):
+                decisions.append(self._judge(target, candidate, scene, table_match))
+        return decisions
+
+    def is_open(self, target: SearchTarget, resolved: Sequence[Decision], scene: ObservedScene) -> bool:
+        """Return whether neither an object was found nor its absence can be stated."""
+        if any(candidate.found for candidate in resolved) or target.problem:
+            return False
+        return scene.mosaic.coverage < self._settings.min_coverage or bool(self.open_places(target, resolved))
+
+    def open_places(self, target: SearchTarget, resolved: Sequence[Decision]) -> List[np.ndarray]:
+        """Return the places of undecided candidates with too few views."""
+        if target.fingerprint.kind == BLANK or target.problem:
+            return []
+        miss = target.calibration.limits(self._settings.error_rate).miss
+        return [
+            item.pose[:2]
+            for item in resolved
+            if item.outcome == UNDECIDED
+            and (item.views < MIN_VIEWS or (item.views < self._settings.views and 1.0 - item.residual >= miss))
+        ]
+
+    def rank(self, decision: Decision) -> float:
+        """Prefer the smallest residual."""
+        return decision.residual
+
+    def _judge(self, target: SearchTarget, candidate: Candidate, scene: ObservedScene, table_match: float) -> Decision:
+        """Decide at a candidate pose, given the share of the scene in the object's colours."""
+        limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
+        unseen = self._unseen(scene.mosaic)
+        if candidate.near < MIN_VIEWS and not _is_clearly_below(value, limits.miss):
+            outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
+        elif value >= limits.miss:
+            in_plane = target.has_height and _is_in_table_plane(target, scene.views, candidate.pose)
+            outcome, reason = _judge_similar(value, limits, in_plane)
+        else:
+            outcome, reason = _judge_dissimilar(value, limits, unseen, table_match)
+        return replace(
+            self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
+            confidence=target.calibration.confidence(value),
+            residual=1.0 - value if candidate.near >= MIN_VIEWS else np.inf,
+            views=candidate.near,
+        )
+
+    def _unseen(self, mosaic: Mosaic) -> str:
+        """Why too little was seen to state that an object is absent; empty if enough was seen."""
+        if mosaic.coverage < self._settings.min_coverage:
+            return f"only {100 * mosaic.coverage:.0f} % of the workspace seen: take more images"
+        return ""
+
+    def _blank(self, target: SearchTarget, mosaic: Mosaic) -> Decision:
+        """Decide whether the learned table is bare somewhere."""
+        found, limit = target.bare_table.search(mosaic), target.bare_table.limit(self._settings.error_rate)
+        pose = np.array([*found.place, target.fingerprint.centre[2]])
+        if found.share >= limit:
+            outcome, reason = FOUND, f"{100 * found.share:.0f} % of the place has the table's colours"
+        elif not found.known:
+            outcome, reason = UNDECIDED, "this table is unknown: learn it to search for bare places"
+        elif mosaic.coverage < self._settings.min_coverage:
+            outcome, reason = UNDECIDED, self._unseen(mosaic)
+        else:
+            outcome, reason = NOT_HERE, f"at most {100 * found.share:.0f} % of any place has the table's colours"
+        confidence = target.bare_table.confidence(found.share)
+        decision = self._decision(target, pose, outcome, reason)
+        return replace(decision, confidence=confidence, residual=1.0 - found.share, views=int(mosaic.coverage > 0.0))
+
+
+class BeliefRule(DecisionRule):
+    """Compares the mean belief with a limit (`identification/decision: belief`). Uses no images."""
+
+    def candidates(self, target: SearchTarget, scene: ObservedScene) -> List[Decision]:
+        """Decide at each peak of the belief by its mean."""
+        return [
+            self._judge(target, peak)
+            for peak in target.grid.peaks(self._settings.separation, self._settings.candidates)
+        ]
+
+    def is_open(self, target: SearchTarget, resolved: Sequence[Decision], scene: ObservedScene) -> bool:
+        """Return True: a belief states no error rate at which it could stop."""
+        return True
+
+    def open_places(self, target: SearchTarget, resolved: Sequence[Decision]) -> List[np.ndarray]:
+        """Return no places: no candidate is undecided."""
+        return []
+
+    def rank(self, decision: Decision) -> float:
+        """Prefer the highest mean belief."""
+        return -decision.belief_mean
+
+    def _judge(self, target: SearchTarget, peak: Peak) -> Decision:
+        """Decide at a peak of the belief."""
+        found = peak.mean > self._settings.min_belief
+        reason = f"belief {peak.mean:.2f} {'above' if found else 'not above'} {self._settings.min_belief:g}"
+        decision = self._decision(target, _refined(peak.pose, target.trace), FOUND if found else NOT_HERE, reason)
+        return replace(decision, belief_mean=peak.mean, belief_std=peak.std, confidence=peak.mean)
+
+
+def make_rule(settings: IdentificationConfig) -> DecisionRule:
+    """Return the rule that `identification/decision` names."""
+    return BeliefRule(settings) if settings.decision == BELIEF else ViewRule(settings)
+
+
+def _judge_similar(value: float, limits: Limits, in_plane: bool) -> Tuple[str, str]:
+    """Outcome and reason at a similarity of at least the miss limit. in_plane: whether nothing stands on the table."""
+    if in_plane:
+        return NOT_HERE, f"similarity {value:.2f}, but the place lies in the plane of the table"
+    if value >= limits.found:
+        return FOUND, f"similarity {value:.2f}, limit {limits.found:.2f}"
+    return UNDECIDED, (
+        f"similarity {value:.2f}, but objects of its colour or shape reach {limits.look_alike:.2f}: look "
+        "at the place, or take a fingerprint that shows more of what distinguishes it"
+    )
+
+
+def _judge_dissimilar(value: float, limits: Limits, unseen: str, table_match: float) -> Tuple[str, str]:
+    """Outcome and reason at a similarity below the miss limit. unseen: why absence cannot be stated, or empty."""
+    if unseen:
+        return UNDECIDED, f"best similarity {value:.2f}, but {unseen}"
+    # On a table of its colours an object is hardly more similar than the table around it.
+    if table_match > _MAX_TABLE_MATCH and not _is_clearly_below(value, limits.miss, 1.0 - table_match):
+        return UNDECIDED, (
+            f"best similarity {value:.2f}, but {100 * table_match:.0f} % of the scene has the object's colours: "
+            "use another table"
+        )
+    return NOT_HERE, f"best similarity {value:.2f}, limit {limits.miss:.2f}"
+
+
 def _is_clearly_below(value: float, miss: float, contrast: float = 1.0) -> bool:
-    """Whether a similarity is too low for an object whose surroundings lower it by a factor; False if none is known."""
+    """Whether a known similarity (above -1) is too low for the object. contrast: factor by which a table lowers it."""
     return -1.0 < value < min(contrast * _CLEARLY_BELOW * miss, miss)
 
 
-def _is_flat(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:
-    """Whether the table is flat where the object would be at a pose (3,)."""
+def _is_in_table_plane(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:
+    """Whether nothing stands on the table where the object would be at a pose (3,)."""
     appearance = target.appearance
     relief = views.relief_at(appearance.middle_at(pose)[:2])
     points = to_base_frame(appearance.inside_points[appearance.central_view], pose[np.newaxis])[0]
-    return relief is not None and relief.is_flat_at(points)
+    return relief is not None and relief.is_in_table_plane(points)
 
 
 def _resolved(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]]) -> Decision:
@@ -253,7 +320,7 @@ def _refined(peak: np.ndarray, trace: Matches) -> np.ndarray:
     return np.array([x, y, np.arctan2(weights @ np.sin(yaw), weights @ np.cos(yaw))])
 
 
-def best_decisions(candidates: Sequence[Decision]) -> List[Decision]:
+def _best_decisions(candidates: Sequence[Decision]) -> List[Decision]:
     """Return the found candidates, numbered, or the best other one, an undecided one first. One blank is enough."""
     found = [candidate for candidate in candidates if candidate.found]
     if not found:

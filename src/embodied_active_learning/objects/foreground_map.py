@@ -20,7 +20,7 @@ _CELL = 0.01  # m
 _MARGIN = 0.08
 """How far the map extends beyond the workspace [m]: half of what the camera sees at its border."""
 _STRIDE = 4
-"""Every how many rows and columns of an image are projected onto the table."""
+"""Stride of the rows and columns of an image that are projected onto the table."""
 _IMAGES = 100
 """Number of images, spread over the run, that are projected."""
 _FOREGROUND = 0.5
@@ -97,17 +97,17 @@ def map_foreground(states: np.ndarray, images: np.ndarray, background: Backgroun
 def _standing(
     lower: np.ndarray, foreground: np.ndarray, states: np.ndarray, images: np.ndarray, config: Config
 ) -> np.ndarray:
-    """Return the cells (X, Y) near what is raised above the table, and those of unknown height within the workspace.
+    """Return the cells (X, Y) that are raised above the table, and those of unknown height within the workspace.
 
-    The relief is measured where there is foreground. Cells beside raised ones count too, and those that they enclose:
-    plain surfaces of an object look alike in all images at any height. Where camera states do not fit the images by
-    more than a millimetre, parts of everything seem to be raised, so that nothing is lost.
+    The relief is measured where there is foreground. Cells next to raised ones or enclosed by them count as raised: the
+    height of a plain surface cannot be measured, because it looks the same in all images rectified to any height. If
+    camera states are wrong by more than a millimetre, prints seem to be raised too, but no object is missed.
     """
     raised, known = np.zeros_like(foreground), np.zeros_like(foreground)
     box = config.workspace.box()
-    least, most = np.array(box.lower[:2]), np.array(box.upper[:2])
+    lower_limit, upper_limit = np.array(box.lower[:2]), np.array(box.upper[:2])
     tiles = np.unique((np.argwhere(foreground) + 0.5) * _CELL // TILE, axis=0)
-    places = np.clip(lower + (tiles + 0.5) * TILE, least - _OVERHANG, most + _OVERHANG)
+    places = np.clip(lower + (tiles + 0.5) * TILE, lower_limit - _OVERHANG, upper_limit + _OVERHANG)
     for place in np.unique(places, axis=0):
         relief = relief_at(place, states, images, config.camera)
         if relief is None:
@@ -117,7 +117,7 @@ def _standing(
         known[tuple(cells[inside].T)] = True
         raised[tuple(cells[inside & relief.raised].T)] = True
     middles = lower + (np.moveaxis(np.indices(foreground.shape), 0, -1) + 0.5) * _CELL
-    within = np.all((middles > least) & (middles < most), axis=-1)
+    within = np.all((middles > lower_limit) & (middles < upper_limit), axis=-1)
     near = ndimage.binary_dilation(raised | (foreground & within & ~known))
     return np.asarray(ndimage.binary_fill_holes(near))
 

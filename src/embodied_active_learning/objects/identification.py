@@ -16,10 +16,10 @@ from embodied_active_learning.errors import ConfigError, CorruptFileError, Sessi
 from embodied_active_learning.model.trained_model import TrainedModel
 from embodied_active_learning.objects.beliefs import BeliefGrid, EvidenceWeights
 from embodied_active_learning.objects.decision import Decision
-from embodied_active_learning.objects.decision_rule import DecisionRule, best_decisions
+from embodied_active_learning.objects.decision_rule import make_rule
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.matching import Matcher
-from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
+from embodied_active_learning.objects.scene_views import ObservedScene
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.objects.unknown import UnknownObject, find_unknown
 from embodied_active_learning.workspace import Workspace
@@ -55,7 +55,7 @@ class Identification:
         """
         _check_names(sets)
         self._workspace, self._camera, self._settings = workspace, camera, settings
-        self._rule = DecisionRule(settings)
+        self._rule = make_rule(settings)
         self._groups: List[Tuple[Matcher, List[SearchTarget]]] = []
         self._start()
         for item in sets:
@@ -100,7 +100,7 @@ class Identification:
         self.open_places: np.ndarray = np.empty((0, 2))
         """(P, 2) places [m] that need more views, as of the last call of `decide`."""
         self._closed: Dict[str, List[Decision]] = {}
-        self._scene: Optional[Tuple[SceneViews, Mosaic]] = None
+        self._scene: Optional[ObservedScene] = None
 
     def observe(self, states: np.ndarray, images: np.ndarray) -> None:
         """Process the next images of the stream.
@@ -122,30 +122,22 @@ class Identification:
 
         May be called after any number of images: the decision of a closed fingerprint is kept.
         """
-        views = SceneViews(states, images, self._camera)
-        mosaic = Mosaic(views, self._workspace, self._settings.margin)
-        self._scene = views, mosaic
-        decisions: List[Decision] = []
-        places: List[np.ndarray] = []
-        self.all_closed = True
-        for _, targets in self._groups:
-            groups = [
-                self._closed.get(target.label) or self._rule.candidates(target, views, mosaic) for target in targets
-            ]
-            for target, group, resolved in zip(targets, groups, self._rule.resolve(groups)):
-                if self._rule.is_open(target, resolved, mosaic):
-                    self.all_closed = False
-                    self._closed.pop(target.label, None)
-                    places += self._rule.open_places(target, resolved)
-                else:
-                    self._closed[target.label] = group
-                decisions += best_decisions(resolved)
-        self.open_places = np.array(places).reshape(-1, 2)
-        return decisions
+        self._scene = ObservedScene(states, images, self._camera, self._workspace, self._settings.margin)
+        results = [
+            result
+            for _, targets in self._groups
+            for result in self._rule.decide(targets, self._scene, closed=self._closed)
+        ]
+        self._closed = {result.target.label: result.candidates for result in results if not result.is_open}
+        self.all_closed = not any(result.is_open for result in results)
+        self.open_places = np.array([place for result in results for place in result.open_places]).reshape(-1, 2)
+        return [decision for result in results for decision in result.decisions]
 
     def unknown_objects(self, decisions: Sequence[Decision]) -> List[UnknownObject]:
         """Return what stands where none of the last decisions found an object, the largest one first."""
-        return [] if self._scene is None else find_unknown(*self._scene, decisions, self._settings.separation)
+        if self._scene is None:
+            return []
+        return find_unknown(self._scene.views, self._scene.mosaic, decisions, self._settings.separation)
 
 
 def _make_group(

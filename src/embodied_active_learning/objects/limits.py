@@ -52,8 +52,8 @@ class Calibration:
     """Similarities that a fingerprint's object, and look-alikes of it, reach in simulated places.
 
     Attributes:
-        true: (T,) float64 of the object, ascending: the smallest while views are added.
-        false: (F,) float64 of look-alikes, ascending: the largest while views are added.
+        true: (T,) float64 of the object, ascending: the smallest over the evaluations of each place.
+        false: (F,) float64 of look-alikes, ascending: the largest over the evaluations of each place.
 
     Raises:
         ObservationError: If they are not ascending values in [-1, 1].

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def masked_median(values: np.ndarray, valid: np.ndarray, axis: int, default: float) -> np.ndarray:
-    """Return the median of the valid values over an axis, and the default without any.
+    """Return the median of the valid values over an axis, or the default if none is valid.
 
     Several times faster than np.nanmedian.
     """

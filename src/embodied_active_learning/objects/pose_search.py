@@ -1,7 +1,7 @@
 """Search for an object in a scene: candidate places from a mosaic, then the pose from views.
 
-Candidates do not depend on the model, nor on how far they rise above their surroundings: they are the places where the
-mosaic is most similar to the object, at any yaw. The similarity of points that share a few colours is a sum of
+Candidates are the places where the mosaic is most similar to the object, at any yaw. They depend neither on the model
+nor on their prominence. The similarity of points that share a few colours is a sum of
 correlations, so all places are compared at once by Fourier transforms.
 """
 
@@ -34,22 +34,22 @@ _GAINS = (-0.9, -0.5, -0.15, 0.2)
 """Log gains between the stored views and the scene that candidates are searched with."""
 _BALANCE = 0.05
 _PEAK_SIZE = 9
-"""Side of the window in which a candidate place is the best one, in pixels of the mosaic."""
+"""Side of the window in which a candidate place is the maximum, in pixels of the mosaic."""
 _STARTS = 6
 """Yaws from which the pose is searched at a place."""
 _CLIMBS = 3
-"""Starts that are followed to their most similar pose: the first comparison may prefer an object turned by half."""
+"""Starts that are refined to their most similar pose: the first comparison may prefer a yaw wrong by half a turn."""
 MIN_VIEWS = 3
-"""Views from near a place without which an object is not found there.
+"""Smallest number of views from near a place with which an object can be found there.
 
 Calibration simulates as many: raise CALIBRATION_VERSION (objects/limits.py) if this changes.
 """
 _FAR = 1.5
-"""Where there are fewer, views from up to this many times as far may show that it is not there."""
+"""Multiple of the view distance up to which views are used if fewer are near; they can only show absence."""
 _SEARCH_VIEWS = 2
 """Views in which starts are compared."""
 _PROMISING = 0.5
-"""Share of the miss limit below which a start is not followed: no search raises a similarity that far."""
+"""Factor of the miss limit below which a start is not refined: refinement does not raise a similarity that far."""
 _STEPS = ((0.004, 0.09), (0.003, 0.06), (0.0015, 0.03))
 """Steps [m, rad] of the searches around a start, around the best result, and around the best result again."""
 
@@ -88,14 +88,13 @@ def propose(mosaic: Mosaic, appearance: Appearance, count: int) -> Proposals:
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 15, 1e-3)
     _, labels, colours = cv2.kmeans(features, _COLOURS, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
     layers = [_colour_matches(mosaic, colours, gain) for gain in _GAINS]
-    transforms = [scipy.fft.rfft2(layer) for layer in layers]
-    size = len(mosaic.x)
+    size, padded = len(mosaic.x), len(mosaic.x) + _padding(mosaic, appearance, view)
+    transforms = [scipy.fft.rfft2(layer, s=(padded, padded)) for layer in layers]
     maps: np.ndarray = np.empty((len(_YAWS), size, size), np.float32)
     for index, yaw in enumerate(_YAWS):
-        kernel = np.conj(scipy.fft.rfft2(_kernels(appearance, view, np.ravel(labels), yaw, size)))
-        maps[index] = np.max(
-            [scipy.fft.irfft2((kernel * part).sum(axis=0), s=(size, size)) for part in transforms], axis=0
-        )
+        kernel = np.conj(scipy.fft.rfft2(_kernels(appearance, view, np.ravel(labels), yaw, padded)))
+        correlations = [scipy.fft.irfft2((kernel * part).sum(axis=0), s=(padded, padded)) for part in transforms]
+        maps[index] = np.max(correlations, axis=0)[:size, :size]
     best = np.where(mosaic.inside, maps.max(axis=0), -np.inf)
     rows, columns = np.nonzero((maximum_filter(best, _PEAK_SIZE) == best) & mosaic.inside)
     order = np.argsort(-best[rows, columns], kind="stable")[:count]
@@ -129,7 +128,7 @@ def refine(
         chosen = views.nearest(above, MIN_VIEWS, _FAR * settings.view_distance)
     if not len(chosen):
         return Candidate(starts[0], -1.0, near)
-    pose = best_pose(appearance, views, chosen, starts, least=_PROMISING * miss)
+    pose = best_pose(appearance, views, chosen, starts, min_similarity=_PROMISING * miss)
     value = similarity(appearance, views, chosen, nearest_stored_views(appearance, views, chosen, pose), pose[None])
     return Candidate(pose, float(value[0]), near)
 
@@ -140,7 +139,7 @@ def best_pose(
     chosen: Indices,
     starts: np.ndarray,
     excluded: Indices = (),
-    least: float = -1.0,
+    min_similarity: float = -1.0,
     stride: int = 4,
 ) -> np.ndarray:
     """Return the most similar pose (3,) that a search from the starts (Y, 3) reaches.
@@ -148,10 +147,10 @@ def best_pose(
     Args:
         appearance: The object.
         views: The images.
-        chosen: (V,) the images that are compared; the first ones alone decide which starts are followed.
+        chosen: (V,) the images that are compared; the first ones alone decide which starts are refined.
         starts: Poses to start from.
         excluded: Stored views that are not compared with.
-        least: Similarity below which a start is not followed.
+        min_similarity: Similarity below which a start is not refined.
         stride: Use every n-th point only while starts are compared.
     """
     poses, values = [], []
@@ -162,7 +161,9 @@ def best_pose(
         poses.append(near[found.argmax()])
         values.append(float(found.max()))
     order = np.argsort(values)[::-1][:_CLIMBS]
-    followed = [_climb(appearance, views, chosen, poses[index], excluded) for index in order if values[index] >= least]
+    followed = [
+        _climb(appearance, views, chosen, poses[index], excluded) for index in order if values[index] >= min_similarity
+    ]
     return max(followed, key=lambda item: item[1])[0] if followed else poses[order[0]]
 
 
@@ -186,7 +187,7 @@ def _around(pose: np.ndarray, step: float, turn: float) -> np.ndarray:
 
 
 def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndarray:
-    """Match (C + 1, S, S) of the mosaic with each colour (C, 3) under a gain, and with the best of them."""
+    """Match (C + 1, S, S) of the mosaic with each colour (C, 3) under a gain, and the largest of these matches."""
     layers = []
     for colour in colours:
         luminance = luminance_of(colour)
@@ -197,8 +198,16 @@ def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndar
     return np.stack([*layers, np.max(layers, axis=0)]).astype(np.float32)
 
 
+def _padding(mosaic: Mosaic, appearance: Appearance, view: int) -> int:
+    """Pixels without a match beside the mosaic, so that no kernel reaches its opposite border: FFTs are periodic."""
+    points = np.concatenate([appearance.inside_points[view], appearance.ring_points[view]])
+    reach = int(np.ceil(np.hypot(*points.T).max() / MOSAIC_PIXEL)) + _PEAK_SIZE // 2
+    pixels = np.argwhere(mosaic.inside)
+    return max(0, reach - int(min(pixels.min(), len(mosaic.x) - 1 - pixels.max())))
+
+
 def _kernels(appearance: Appearance, view: int, labels: np.ndarray, yaw: float, size: int) -> np.ndarray:
-    """(C + 1, S, S) weights of the object's points by colour (I,), and of the ring's, at a yaw; centred on pixel 0."""
+    """Kernels (C + 1, S, S) at a yaw, centred on pixel 0: of the object's points by label (I,), and of the ring."""
     kernels: np.ndarray = np.zeros((_COLOURS + 1, size, size), np.float32)
     ring_points = appearance.ring_points[view]
     for points, layer, weight in (

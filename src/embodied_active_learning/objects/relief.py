@@ -30,7 +30,7 @@ TILE = 0.054
 _RADIUS, _PIXEL = 0.5 * TILE, 0.003
 """Radius of the surroundings, and pixels of their rectified images [m]. Beyond, a neighbour may stand."""
 _IMAGES, _MIN_IMAGES = 24, 8
-"""Images that are compared: at most, and at least."""
+"""Largest and smallest number of compared images."""
 _MIN_SPREAD = 0.015
 """Standard deviation of the camera's positions [m] below which things with a height may look flat."""
 _REACH = 0.055
@@ -46,9 +46,9 @@ _RATIO, _NOISE = 1.5, 2.0
 _MIN_AREA = 1e-4
 """Raised area of something that stands on the table [m^2]."""
 _MIN_RAISED, _MIN_SHOWN = 0.1, 0.5
-"""Share of an object's points that are raised: 0.3 to 1 of 32 objects. Share of the points that must be on the map."""
+"""Smallest share of raised points of an object (32 objects had 0.3 to 1), and of points that the map must show."""
 _EXPLAINED = 0.1
-"""Largest difference in the table's plane, relative to the contrast, of a thing that lies in it."""
+"""Largest difference in the table's plane, relative to the contrast, of something that lies in that plane."""
 _AXIS = np.arange(-_RADIUS, _RADIUS + 0.5 * _PIXEL, _PIXEL)
 _DISC = np.hypot(_AXIS, _AXIS[:, np.newaxis]) < _RADIUS
 
@@ -73,8 +73,8 @@ class Relief(NamedTuple):
         return float(self.raised[_DISC].sum()) * _PIXEL**2
 
     @property
-    def flat(self) -> bool:
-        """Whether the surroundings lie in the plane of the table; false if the images do not fit each other so well."""
+    def in_table_plane(self) -> bool:
+        """Whether the surroundings lie in the plane of the table; false too if the images do not match well enough."""
         return self.area < _MIN_AREA and bool(self.difference[_DISC].mean() < _EXPLAINED)
 
     @property
@@ -82,7 +82,7 @@ class Relief(NamedTuple):
         """Places (S, S, 2) [m] of the pixels."""
         return _points_around(self.place)
 
-    def is_flat_at(self, points: np.ndarray) -> bool:
+    def is_in_table_plane(self, points: np.ndarray) -> bool:
         """Return whether points (K, 2) [m] lie in the plane of the table, as far as the map shows them."""
         columns, rows = np.rint((points - self.place + _RADIUS) / _PIXEL).astype(int).T
         shown = (np.minimum(rows, columns) >= 0) & (np.maximum(rows, columns) < len(self.raised))

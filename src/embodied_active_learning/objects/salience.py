@@ -11,7 +11,7 @@ _FOREGROUND_CERTAIN = 8.0
 _MIN_STD = 2.0
 """Standard deviation [grey levels] added to the table's colour: that of a plain table may be zero."""
 _STRIDE = 6
-"""Every how many pixels the table's colour is sampled."""
+"""Stride of the pixels from which the table's colour is sampled."""
 _INLIERS = 0.8
 """Share of the sampled pixels that the covariance is fitted to; the rest may belong to prints or to an object."""
 

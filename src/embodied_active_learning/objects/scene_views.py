@@ -1,7 +1,8 @@
-"""The images of a scene, as candidates are compared with them: sampled at points of the table."""
+"""The images of a scene, sampled at points of the table to compare candidates with them."""
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Dict, Optional, Tuple
 
 import numpy as np
@@ -15,8 +16,8 @@ from embodied_active_learning.workspace import Workspace
 
 MOSAIC_PIXEL = 0.003
 """Size of a pixel of the mosaic [m]."""
-_MOSAIC_BORDER = 0.08
-"""Extent of the mosaic beyond the workspace [m]: half an object, and half a rectified view around it."""
+_BORDER = 0.0575
+"""Extent of the mosaic beyond its inside [m]: an object with its centre there, and the table around it."""
 
 
 class SceneViews:
@@ -70,7 +71,7 @@ class Mosaic:
     def __init__(self, views: SceneViews, workspace: Workspace, margin: float) -> None:
         """Sample the images over a workspace. margin: part around it that also counts as inside [m]."""
         lower, upper = (np.asarray(limit[:2]) for limit in (workspace.lower, workspace.upper))
-        size = int(np.ceil((float(np.max(upper - lower)) + 2.0 * _MOSAIC_BORDER) / MOSAIC_PIXEL))
+        size = int(np.ceil((float(np.max(upper - lower)) + 2.0 * (margin + _BORDER)) / MOSAIC_PIXEL))
         steps = (np.arange(size) + 0.5 - size / 2) * MOSAIC_PIXEL
         self.x, self.y = (middle + steps for middle in (lower + upper) / 2.0)
         points = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
@@ -100,3 +101,19 @@ class Mosaic:
     def coverage(self) -> float:
         """Share of the inside that was seen."""
         return float(self.seen[self.inside].mean())
+
+
+class ObservedScene:
+    """The images of a scene as views and, composed when it is first used, as a mosaic."""
+
+    def __init__(
+        self, states: np.ndarray, images: np.ndarray, camera: CameraConfig, workspace: Workspace, margin: float
+    ) -> None:
+        """Keep images (N, H, W, 3) uint8 from states (N, 3) [m, m, rad]. margin: see Mosaic."""
+        self.views = SceneViews(states, images, camera)
+        self._workspace, self._margin = workspace, margin
+
+    @cached_property
+    def mosaic(self) -> Mosaic:
+        """The images as one."""
+        return Mosaic(self.views, self._workspace, self._margin)

@@ -29,7 +29,7 @@ LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
 """Differences of log luminance and of colour at which a match is 1/2. The object's own contrast is added:
 shading moves over an object that is turned under a fixed light."""
 _MAX_CONTRAST = (0.2, 0.1)
-"""Parts of the object's contrast that are added at most: in objects of several colours more of it is pattern."""
+"""Upper limits of the contrast that is added: more contrast is a pattern of several colours, not shading."""
 _GAIN = (-1.0, 0.6)
 """Limits of the gain: log luminance of the view minus that of the stored view."""
 _GRADIENT = 0.3
@@ -38,9 +38,9 @@ _GRADIENT_PRIOR = 12.0
 _BALANCE = 0.26
 """Limit of the white balance: largest difference between the log gains of two channels."""
 _BALANCE_PRIOR = 0.01
-"""Weight of no change, relative to the points': the gain of a channel that the object does not reflect is unknown."""
+"""Weight of a prior of no change, relative to that of the points, for channels that the object does not reflect."""
 _MIN_INSIDE, _MIN_RING = 0.6, 0.25
-"""Share of the points that must be in view. Without a ring its match is taken as _UNSEEN_RING."""
+"""Share of the points that must be in view. If too little of the ring is, its match is assumed to be _UNSEEN_RING."""
 _UNSEEN_RING = 0.3
 
 
@@ -59,8 +59,8 @@ class Points(NamedTuple):
 
     positions: np.ndarray  # (K, 2) m, in the object's coordinates
     luminance: np.ndarray  # (K,)
-    shares: np.ndarray  # (K, 2) of red and green, as they were if the points were bright
-    jacobian: np.ndarray  # (K, 2, 2), see balance_jacobian; of the stored view, although the other one may be darker
+    shares: np.ndarray  # (K, 2) of red and green, not regularised
+    jacobian: np.ndarray  # (K, 2, 2), see balance_jacobian; of the stored view, although the view may be darker
 
 
 class Light(NamedTuple):
@@ -157,10 +157,10 @@ def _matches(
 
 
 def _change(features: np.ndarray, luminance: np.ndarray, points: Points, gain: np.ndarray) -> np.ndarray:
-    """Change (P, K, 3) of the features of points, to those seen under about a gain (P,) of the light.
+    """Feature differences (P, K, 3) between a view and the stored points at the brightness of the view.
 
-    What keeps the features of dark pixels stable depends on their luminance (P, K). It is applied to the points as
-    well, as if the stored view had been as bright as the other one.
+    The gain (P,) is applied to the luminance of the stored points, and the luminance (P, K) of the view to their
+    shares, before they are regularised. The first component still contains the gain, which _fit_light refines.
     """
     change: np.ndarray = np.empty_like(features)
     expected = log_luminance(np.exp(gain)[:, None] * points.luminance)

@@ -1,10 +1,10 @@
 """A fingerprint's own views as they would look elsewhere, and as other objects would look.
 
-The object's pixels are cut out by the mask, put on another table and lit differently. Light from another side, that is,
-an object turned by a yaw, cannot be simulated from images alone: diffuse shading keeps the cosine of the yaw of its
-pattern, and instead of the rest, which depends on the shape, the pattern is added turned. Look-alikes are made
-of the same pixels: stretched, scaled, bent, mirrored or recoloured, or a plain shape in the object's mean colour. They
-are harder to tell apart than most real objects, because they share either colour or shape with it.
+The object's pixels are cut out by the mask, put on another table and lit differently. Light from another direction is
+approximated: scale the luminance pattern by cos(yaw) and add a rotated copy for the part that depends on shape.
+Look-alikes are made of the same pixels: stretched, scaled, bent, mirrored or recoloured, or a plain shape in the
+object's mean colour. They are harder to tell apart than most real objects, because they share either colour or shape
+with it.
 """
 
 from __future__ import annotations

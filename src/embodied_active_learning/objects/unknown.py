@@ -1,8 +1,8 @@
 """Unknown objects: what stands on the table although no fingerprint was found there.
 
-The table's colours are those that many parts of the scene share, so no model of the table is needed. What differs from
-them, is as large as an object and does not lie in the plane of the table is reported. A table whose pattern varies more
-than its parts share is not judged.
+The table's colours are those that appear in many parts of the scene, so no model of the table is needed. A region is
+reported if its colours differ from them, it is as large as an object, and it does not lie in the plane of the table.
+Nothing is reported if too much of the scene differs, as on a table with a large pattern.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, SceneViews
 
 _PART = 20
-"""Side of a part of the scene that shows its share of the table, in pixels of the mosaic: 6 cm."""
+"""Side of a part of the scene, in pixels of the mosaic: 6 cm."""
 _COMMON = 1.0 / 3.0
-"""Share of the parts that show a colour of the table; an object reaches into few of them."""
+"""Smallest share of the parts that show a colour of the table; an object reaches into few of them."""
 _FOREGROUND = 5.0
-"""Distance from the nearest table colour, in standard deviations, from which a pixel is not the table's."""
+"""Smallest Mahalanobis distance of a foreground pixel from the nearest table colour."""
 _MAX_FOREGROUND = 0.3
-"""Share of the scene above which the table itself differs from its colours."""
+"""Largest share of foreground in a scene: above it, the table itself differs from the common colours."""
 _MIN_AREA, _MAX_AREA = 4e-4, 1.2e-2
 """Visible area of an object [m^2]."""
 _CROSS: np.ndarray = np.ones((3, 3), np.uint8)
@@ -80,7 +80,7 @@ def find_unknown(
             ]
             place = np.array([mosaic.x[columns], mosaic.y[rows]])
             relief = views.relief_at(place)
-            if relief is None or not relief.flat:
+            if relief is None or not relief.in_table_plane:
                 found.append(UnknownObject(place, float(areas[label]), picture))
     return found
 

@@ -90,7 +90,7 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
             "use from_stored=True, or fingerprint.launch"
         )
     run = FingerprintRun(found.paths.path, config.fingerprint, from_stored)
-    if run.clustering.flat:
+    if run.clustering.low_contrast:
         raise ObservationError(run.summary)
     if not from_stored:
         _collect_views(run, config)

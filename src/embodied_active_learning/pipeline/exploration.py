@@ -11,9 +11,9 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.commands import Command, PoseCommand, VelocityCommand
 from embodied_active_learning.exploration.ergodic_objective import (
-    flat_distribution,
     kl_ergodic,
     normalise,
+    uniform_distribution,
 )
 from embodied_active_learning.exploration.explorer import Explorer
 from embodied_active_learning.exploration.samples import WorkspaceSamples
@@ -114,7 +114,7 @@ class ExplorationRun:
         self._turning = float(np.sum(np.abs(dtheta)))
         self._effort = effort
         self._velocity = np.zeros(self._workspace.size)
-        self._target = flat_distribution(config.exploration.samples)
+        self._target = uniform_distribution(config.exploration.samples)
 
     @property
     def step(self) -> int:
@@ -161,7 +161,7 @@ class ExplorationRun:
         coverage = self._samples.coverage
         visitation = self._samples.visitation
         if log_std is None:
-            self._target = flat_distribution(len(visitation))
+            self._target = uniform_distribution(len(visitation))
         else:
             self._target = self._measure(log_std, coverage)
         return StepMetrics(

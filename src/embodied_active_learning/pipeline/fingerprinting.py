@@ -81,7 +81,7 @@ class FingerprintRun:
         """Result of the clustering in one sentence."""
         clustering = self.clustering
         contrast = f"the predicted standard deviation varies by {clustering.contrast:.1f}x over the workspace"
-        if clustering.flat:
+        if clustering.low_contrast:
             return (
                 f"no objects found: {contrast}, less than {self._config.fingerprint.min_contrast:g} "
                 "(fingerprint/min_contrast); train longer, or put objects on the table"

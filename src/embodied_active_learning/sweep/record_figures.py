@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Dict, Sequence
+from typing import Dict, Sequence, Tuple
 
 import numpy as np
 
 from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
-from embodied_active_learning.figures.top_view import SessionImages, TopView
-from embodied_active_learning.session.observations import Observations
+from embodied_active_learning.figures.top_view import TopView
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.world import load_world
 from embodied_active_learning.sweep.run_records import Record
@@ -23,23 +21,14 @@ def draw_record_metrics(path: Path, records: Sequence[Record]) -> Path:
     """Draw a column for each world and explorer, with a line for each seed. Raises WorldError if a world is missing."""
     views: Dict[str, TopView] = {}
 
-    def images(record: Record) -> SessionImages:
+    def camera_path(record: Record) -> Tuple[np.ndarray, TopView]:
         world = record.config.simulation.world
         if world not in views:
             views[world] = render_top_view(record)
         table = record.read_table("exploration")
-        states = np.stack([table[name] for name in ("x", "y", "theta")], axis=1)
-        return SessionImages(
-            Observations(states, states, np.empty((0, 1, 1, 3), np.uint8), table["time"]), views[world]
-        )
+        return np.stack([table[name] for name in ("x", "y", "theta")], axis=1), views[world]
 
-    return draw_learning_metrics(path, [_with_pdf(record) for record in records], images)
-
-
-def _with_pdf(record: Record) -> Record:
-    """Return a record whose figures are also written as PDF."""
-    config = record.config
-    return replace(record, config=replace(config, session=replace(config.session, pdf_figures=True)))
+    return draw_learning_metrics(path, records, camera_path, pdf=True)
 
 
 def render_top_view(record: Record) -> TopView:

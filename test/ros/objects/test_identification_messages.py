@@ -22,7 +22,7 @@ def make_grid(value):
 def test_grids_share_one_scale():
     """A weak belief stays dark next to a strong one."""
     weak, strong = make_grid(0.55), make_grid(1.0)
-    scale = float(strong.prominence().max())
+    scale = float(strong.above_median().max())
     low, high = (max(grid_message(rospy.Time(1), grid, scale).data) for grid in (weak, strong))
     assert high == 100
     assert 5 <= low <= 20

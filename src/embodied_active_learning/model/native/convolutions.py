@@ -25,7 +25,7 @@ Product = Tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 Job = Callable[[], None]
 
 PARTS = 2  # per thread and matrix product, so that others can take over from a thread that is delayed
-SMALL = 1 << 24  # multiply-adds below which a second thread would not be awake in time
+SMALL = 1 << 24  # multiply-adds below which one thread is done before a second one has started
 
 
 class SavedTensors(NamedTuple):

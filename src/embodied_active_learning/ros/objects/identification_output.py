@@ -79,12 +79,12 @@ class IdentificationOutput:
         if not (always or any(item.get_num_connections() for item in [*publishers, self._reliefs])):
             return
         stamp = rospy.Time.now()
-        reliefs = [target.grid.prominence() for target in targets]
-        scale = shared_scale(reliefs)
+        maps = [target.grid.above_median() for target in targets]
+        scale = shared_scale(maps)
         for target, publisher in zip(targets, publishers):
             if always or publisher.get_num_connections():
                 publisher.publish(grid_message(stamp, target.grid, scale))
-        self._reliefs.publish(belief_markers(stamp, targets, reliefs, scale))
+        self._reliefs.publish(belief_markers(stamp, targets, maps, scale))
 
     def _grid_publisher(self, target: SearchTarget) -> rospy.Publisher:
         """Publisher of a target's grid."""
@@ -97,11 +97,11 @@ class IdentificationOutput:
 
 
 def grid_message(stamp: rospy.Time, grid: BeliefGrid, scale: float) -> OccupancyGrid:
-    """Return the prominence of a belief as an occupancy grid: 0 at the median of the map and below, 100 at `scale`.
+    """Return a belief as an occupancy grid: 0 at the median of the map and below, 100 at `scale` above it.
 
     An occupancy grid has square cells, so a belief with other cells is interpolated.
     """
-    shown = np.clip(grid.prominence() / scale, 0.0, 1.0)
+    shown = np.clip(grid.above_median() / scale, 0.0, 1.0)
     cell = float(min(grid.x[1] - grid.x[0], grid.y[1] - grid.y[0]))
     x, y = (np.arange(axis[0], axis[-1] + 0.5 * cell, cell) for axis in (grid.x, grid.y))
     points = np.stack(np.meshgrid(x.clip(grid.x[0], grid.x[-1]), y.clip(grid.y[0], grid.y[-1]), indexing="ij"), axis=-1)
