@@ -228,13 +228,17 @@ class _PlainLoader(yaml.SafeLoader):
         """Refuse numbers that YAML 1.1 interprets unexpectedly: 1:30 as 90, and 010 as 8."""
         if len(node.value) > _MAX_NUMBER_LENGTH:
             raise _error(f"a number has {len(node.value)} digits", node.start_mark)
-        digits = node.value.lstrip("+-")
+        digits = node.value.lstrip("+-").replace("_", "")
         if ":" in digits:
             raise _error(f"{node.value} is a base-60 number in YAML, write it as a decimal number", node.start_mark)
         if len(digits) > 1 and digits[0] == "0" and digits.isdecimal():
             raise _error(f"{node.value} is an octal number in YAML, drop the leading zero", node.start_mark)
 
 
+_PlainLoader.yaml_implicit_resolvers = {  # without dates: 2026-11-28 is a text
+    start: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:timestamp"]
+    for start, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 _PlainLoader.add_constructor("tag:yaml.org,2002:int", _PlainLoader.construct_yaml_int)
 _PlainLoader.add_constructor("tag:yaml.org,2002:float", _PlainLoader.construct_yaml_float)
 

@@ -123,6 +123,10 @@ def test_number_with_exponent_is_a_number_in_yaml(text, tmp_path):
     assert values == {"training": {"learning_rate": pytest.approx(1e-4)}, "exploration": {"steps": 1000}}
 
 
+def test_date_stays_a_text():
+    assert parse_yaml("2026-11-28") == "2026-11-28"
+
+
 def test_name_that_looks_like_a_number_stays_a_text():
     assert build(Scene, {"names": ["1e-4"]}).names == ("1e-4",)
 
@@ -134,6 +138,7 @@ def test_name_that_looks_like_a_number_stays_a_text():
         ("-1:30.5", "-1:30.5 is a base-60"),
         ("010", "010 is an octal"),
         ("-07", "-07 is an octal"),
+        ("0_100", "0_100 is an octal"),
     ],
 )
 def test_ambiguous_yaml_numbers_are_refused(text, expected, tmp_path):

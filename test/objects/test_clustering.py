@@ -125,6 +125,19 @@ def test_blank_is_last_and_away_from_objects(two):
     assert 0.0 < blank.share <= 1.0
 
 
+CORNER = (Thing(0, (0.58, 0.10, 0.0)),)
+
+
+def test_blank_is_clear_of_a_thing_that_the_model_predicts_well():
+    blank = cluster_table(CORNER, entropy=Entropy([(0.40, -0.04, 0.0)])).clusters[-1]
+    assert np.hypot(*(blank.centre[:2] - CORNER[0].pose[:2])) > 0.08
+
+
+def test_blank_beside_a_thing_is_warned_about(caplog):
+    cluster_table(CORNER, entropy=Entropy([(0.36, -0.12, 0.0)]))
+    assert "from an object, whose views will show it" in caplog.text
+
+
 def test_contrast_equals_that_of_model(two):
     assert two.contrast == pytest.approx(6.0, rel=0.05)
 

@@ -7,7 +7,7 @@ import pytest
 
 from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
+from embodied_active_learning.pipeline.fingerprinting import FingerprintRun, calibrated, describe_clustering
 from embodied_active_learning.session.session import Session
 from painted_table import Thing, learn
 
@@ -19,31 +19,32 @@ def test_fingerprinting_without_model_raises(tmp_path):
         FingerprintRun(tmp_path / "early")
 
 
+def clustering(**values):
+    facts = {"low_contrast": False, "contrast": 1.3, "clusters": (), "unreachable": (), "visible": visible(0)}
+    return SimpleNamespace(**{**facts, **values})
+
+
+def visible(prints):
+    return SimpleNamespace(prints=(None,) * prints)
+
+
 @pytest.mark.parametrize("low_contrast", [True, False])
 def test_summary_of_low_contrast_names_remedy(low_contrast):
-    run = FingerprintRun.__new__(FingerprintRun)
-    run._config = Config()
-    run.clustering = SimpleNamespace(
-        low_contrast=low_contrast, contrast=1.3, clusters=(), unreachable=(), visible=SimpleNamespace(prints=())
-    )
-    flat_summary = "no objects found: the predicted standard deviation varies by 1.3x over the workspace, less than"
-    assert run.summary.startswith(flat_summary) is low_contrast
-    assert run.summary.startswith("0 objects") is not low_contrast
+    summary = describe_clustering(clustering(low_contrast=low_contrast), FingerprintConfig())
+    expected = "no objects found: the predicted standard deviation varies by 1.3x over the workspace, less than"
+    assert summary.startswith(expected) is low_contrast
+    assert summary.startswith("0 objects") is not low_contrast
 
 
 def test_summary_counts_prints_that_clustering_leaves_out():
-    run = FingerprintRun.__new__(FingerprintRun)
-    run.clustering = SimpleNamespace(low_contrast=False, contrast=3.0, clusters=(), unreachable=())
-    run.clustering.visible = SimpleNamespace(prints=(None, None))
-    run._config = Config.from_dict({"fingerprint": {"clustering": "table"}})
-    assert run.summary.endswith("; skipped 2 in the plane of the table (to keep them: fingerprint/prints)")
-    run._config = Config.from_dict({"fingerprint": {"clustering": "camera"}})
-    assert "skipped" not in run.summary
+    found = clustering(visible=visible(2))
+    summary = describe_clustering(found, FingerprintConfig(clustering="table"))
+    assert summary.endswith("; skipped 2 in the plane of the table (to keep them: fingerprint/prints)")
+    assert "skipped" not in describe_clustering(found, FingerprintConfig(clustering="camera"))
 
 
 def test_given_trials_are_simulated_instead_of_the_sessions():
     learned = learn((Thing(0, (0.40, -0.07, 0.6)),), (0.36, 0.12))
-    run = FingerprintRun.__new__(FingerprintRun)
-    run._config = replace(learned.config, fingerprint=FingerprintConfig(trials=5))
-    found = run._calibrated(learned.fingerprints[0], learned.fingerprints)
+    config = replace(learned.config, fingerprint=FingerprintConfig(trials=5))
+    found = calibrated(learned.fingerprints[0], learned.fingerprints, config)
     assert len(found.calibration.true) == len(found.calibration.false) == 5

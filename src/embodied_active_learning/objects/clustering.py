@@ -127,7 +127,10 @@ def find_objects(
     else:
         objects = _cluster(samples[:, :2], samples[:, 2], settings, workspace)
     reachable = [_is_reachable(cluster, workspace, settings) for cluster in objects]
-    blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)])] if blank else []
+    # The paper's clustering of camera states makes no use of the camera's geometry.
+    things = visible.things if settings.clustering == TABLE else np.empty((0, 2))
+    half_view = config.camera.distance * math.tan(0.5 * math.radians(config.camera.field_of_view))
+    blanks = [_blank_region(proposals[std <= np.quantile(std, _BLANK_SHARE)], things, half_view)] if blank else []
     return Clustering(
         contrast,
         low_contrast=False,
@@ -240,12 +243,29 @@ def _mean_yaw(yaws: np.ndarray, workspace: Workspace) -> float:
     return min(max(mean, workspace.lower[2]), workspace.upper[2])
 
 
-def _blank_region(states: np.ndarray) -> Cluster:
-    """Return the largest cluster of the states (B, 3) with the lowest entropy; yaw is irrelevant there and set to 0."""
+def _blank_region(states: np.ndarray, things: np.ndarray, clearance: float) -> Cluster:
+    """Return the largest cluster of the states (B, 3) with the lowest entropy that is clear of all things (K, 2) [m].
+
+    If none is, the model does not predict the bare table best yet, and the clearest cluster is returned. Yaw is
+    irrelevant there and set to 0.
+
+    Args:
+        states: (B, 3) x [m], y [m], theta [rad].
+        things: (K, 2) centres of visible things [m].
+        clearance: Smallest distance [m] from the centre of a cluster to a thing.
+    """
     centres, labels = mean_shift(states[:, :2], _BLANK_BANDWIDTH, bin_seeding=True, cluster_all=False)
-    sizes = np.bincount(labels[labels >= 0])
-    largest = int(sizes.argmax())
-    return Cluster(BLANK, np.array([*centres[largest], 0.0]), float(sizes[largest] / len(states)))
+    sizes = np.bincount(labels[labels >= 0], minlength=len(centres))
+    nearest = np.linalg.norm(centres[:, np.newaxis] - things, axis=-1).min(axis=1, initial=math.inf)
+    best = int(np.where(nearest >= clearance, sizes, 0).argmax())
+    if nearest[best] < clearance:
+        best = int(nearest.argmax())
+        _LOG.warning(
+            "the blank region is %.1f cm from an object, whose views will show it: make the fingerprints again after "
+            "more steps",
+            100.0 * nearest[best],
+        )
+    return Cluster(BLANK, np.array([*centres[best], 0.0]), float(sizes[best] / len(states)))
 
 
 def _is_reachable(cluster: Cluster, workspace: Workspace, settings: FingerprintConfig) -> bool:

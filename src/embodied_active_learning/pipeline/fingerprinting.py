@@ -8,11 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import List, Optional, Sequence, Union
 
-from embodied_active_learning.config import TABLE, FingerprintConfig
+import numpy as np
+
+from embodied_active_learning.config import TABLE, Config, FingerprintConfig
 from embodied_active_learning.errors import ObservationError, SessionError
+from embodied_active_learning.model.verdict import UNUSED, ReconstructionErrors
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.calibration import calibrate
-from embodied_active_learning.objects.clustering import find_objects
+from embodied_active_learning.objects.clustering import Clustering, find_objects
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.stored_views import ObservedViews
@@ -53,6 +56,7 @@ class FingerprintRun:
                 f"{self._config.training.first_update_at} observations (training/first_update_at); retry later"
             )
         self._trained = trained
+        self._weakness = _weakness(session)
         with session.open_observations() as store:
             stored = store.snapshot()
         self._observations = len(stored.stamps)
@@ -78,21 +82,8 @@ class FingerprintRun:
 
     @property
     def summary(self) -> str:
-        """Result of the clustering in one sentence."""
-        clustering = self.clustering
-        contrast = f"the predicted standard deviation varies by {clustering.contrast:.1f}x over the workspace"
-        if clustering.low_contrast:
-            return (
-                f"no objects found: {contrast}, less than {self._config.fingerprint.min_contrast:g} "
-                "(fingerprint/min_contrast); train longer, or put objects on the table"
-            )
-        objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
-        unreachable = len(clustering.unreachable)
-        prints = len(clustering.visible.prints) if self._config.fingerprint.clustering == TABLE else 0
-        skipped = f"; skipped {unreachable} more that the camera cannot reach" if unreachable else ""
-        if prints:
-            skipped += f"; skipped {prints} in the plane of the table (to keep them: fingerprint/prints)"
-        return f"{objects} objects and a blank region: {contrast}{skipped}"
+        """Result of the clustering in one sentence, and whether it is too early to trust it."""
+        return describe_clustering(self.clustering, self._config.fingerprint) + self._weakness
 
     def require_complete(self, name: str) -> None:
         """Raise ObservationError if the views of a fingerprint are incomplete."""
@@ -146,14 +137,53 @@ class FingerprintRun:
                     importance=cluster.share if cluster.kind == OBJECT else 0.0,
                 )
             )
-        return [self._calibrated(item, fingerprints) for item in fingerprints]
+        return [calibrated(item, fingerprints, self._config) for item in fingerprints]
 
-    def _calibrated(self, fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint]) -> Fingerprint:
-        """Add its calibration to the fingerprint of an object that can be recognised; log why another one cannot."""
-        if fingerprint.kind != OBJECT:
-            return fingerprint
-        appearance = Appearance(fingerprint, fingerprints, self._config.camera)
-        if appearance.problem:
-            LOG.warning("%s will not be recognised elsewhere: %s", fingerprint.name, appearance.problem)
-            return fingerprint
-        return replace(fingerprint, calibration=calibrate(appearance, self._config.fingerprint.trials))
+
+def describe_clustering(clustering: Clustering, settings: FingerprintConfig) -> str:
+    """Return the result of a clustering in one sentence."""
+    contrast = f"the predicted standard deviation varies by {clustering.contrast:.1f}x over the workspace"
+    if clustering.low_contrast:
+        return (
+            f"no objects found: {contrast}, less than {settings.min_contrast:g} (fingerprint/min_contrast); train "
+            "longer, or put objects on the table"
+        )
+    objects = sum(cluster.kind == OBJECT for cluster in clustering.clusters)
+    unreachable = len(clustering.unreachable)
+    prints = len(clustering.visible.prints) if settings.clustering == TABLE else 0
+    skipped = f"; skipped {unreachable} more that the camera cannot reach" if unreachable else ""
+    if prints:
+        skipped += f"; skipped {prints} in the plane of the table (to keep them: fingerprint/prints)"
+    return f"{objects} objects and a blank region: {contrast}{skipped}"
+
+
+def calibrated(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], config: Config) -> Fingerprint:
+    """Return a fingerprint with its calibration, if it is of an object that can be recognised; log why if it cannot.
+
+    Args:
+        fingerprint: One of the fingerprints.
+        fingerprints: All fingerprints of a session.
+        config: Of the session, with the settings of these fingerprints.
+    """
+    if fingerprint.kind != OBJECT:
+        return fingerprint
+    appearance = Appearance(fingerprint, fingerprints, config.camera)
+    if appearance.problem:
+        LOG.warning("%s will not be recognised elsewhere: %s", fingerprint.name, appearance.problem)
+        return fingerprint
+    return replace(fingerprint, calibration=calibrate(appearance, config.fingerprint.trials))
+
+
+def _weakness(session: Session) -> str:
+    """Return the end of a sentence that says that the model does not use its latent yet; empty if it does."""
+    evaluation = session.read_table("evaluation")
+    errors = [evaluation[name][-1:] for name in ("mse_own", "mse_shuffled", "mse_none")]
+    if not len(errors[0]):
+        return ""
+    contribution = ReconstructionErrors(*map(float, np.concatenate(errors))).latent_contribution
+    if contribution >= UNUSED:
+        return ""
+    return (
+        f"; the model is weak: its latent removes {100.0 * max(0.0, contribution):.0f} % of the reconstruction error; "
+        "make the fingerprints again after more steps"
+    )
