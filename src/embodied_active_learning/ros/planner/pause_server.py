@@ -98,13 +98,13 @@ class PauseServer:
         return TriggerResponse(True, message)
 
     def resume(self, request: Any) -> TriggerResponse:
-        """Release a pause; success if the planner resumes."""
+        """Release a pause; success unless another node still pauses the planner."""
         with self._lock:
             if self._requests.release(name_of_caller(request)):
                 self._arm.resume()
                 return TriggerResponse(True, "exploring")
         others = self._requests.text
-        return TriggerResponse(False, f"still paused by {others}" if others else "not paused")
+        return TriggerResponse(not others, f"still paused by {others}" if others else "was not paused")
 
     def _hold_back(self) -> None:
         self._arm.pause(f"a call of {rospy.resolve_name(names.PLANNER_RESUME)}")
