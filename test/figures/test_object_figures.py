@@ -170,7 +170,7 @@ def test_decisions_marked_with_number_confidence_and_yaw():
     assert markers(axes, filled=False) == []
     numbers = {text.get_text(): text.xy for text in axes.texts}
     assert (numbers["1"], numbers["2"]) == ((0.40, 0.05), (0.55, -0.1))
-    assert [text.get_text() for text in axes.texts].count("90%") == 2
+    assert [text.get_text() for text in axes.texts].count("0.90") == 2
     ticks = [np.diff(line.get_xydata(), axis=0)[0] for line in axes.lines if len(line.get_xdata()) == 2]
     assert [np.arctan2(y, x) for x, y in ticks] == pytest.approx([0.0, np.pi / 2])
 
@@ -179,7 +179,7 @@ def test_rejected_candidate_is_hollow_without_number():
     figure = beliefs_figure(WORKSPACE, [make_panel([make_decision(0.40, 0.05, instance=0, reason="2 of 30")])])
     axes = titled(figure, "a, object-1")[0]
     assert (markers(axes, filled=False), markers(axes, filled=True)) == ([(0.40, 0.05)], [])
-    assert [text.get_text() for text in axes.texts] == ["90%"]
+    assert [text.get_text() for text in axes.texts] == []
     notes = [text.get_text() for one in figure.axes for text in one.texts]
     assert NOT_HERE in notes
     assert any(note.startswith("2 of 30") for note in notes)

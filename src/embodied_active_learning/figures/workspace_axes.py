@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 from embodied_active_learning.figures.style import MAP_COLOURS, MEDIUM, SMALL, UNSEEN, colour, label, style_axes
 from embodied_active_learning.figures.top_view import TopView
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.scoring import Truth
 from embodied_active_learning.workspace import Workspace
@@ -105,7 +105,8 @@ def mark_decisions(axes: Axes, decisions: Sequence[Decision], truth: Truth) -> N
         if decision.found:
             text: Dict[str, Any] = {"color": "white", "fontsize": SMALL, "weight": "bold", "zorder": _MARKER_ZORDER + 1}
             axes.annotate(str(decision.instance), (x, y), ha="center", va="center", **text)
-        _write_beside(axes, f"{decision.confidence:.0%}", (x, y), SMALL, above=False)
+        if decision.outcome != NOT_HERE:
+            _write_beside(axes, decision.confidence_text, (x, y), SMALL, above=False)
 
 
 def mark_pose(axes: Axes, pose: np.ndarray, with_yaw: bool, style: Dict[str, Any]) -> None:
