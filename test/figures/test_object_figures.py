@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -211,6 +212,15 @@ def test_trace_text_is_not_cut():
     decided = [make_decision(instance=0, reason="only 4 views, 5 required"), make_decision(0.4, -0.1)]
     fingerprint = make_fingerprint(30, name="object-with-a-long-name")
     assert_nothing_is_cut(trace_figure(Trace(LONG, trace, states, images, fingerprint, 1.0, decided, TRUTH)))
+
+
+def test_trace_shows_small_distances_with_significant_digits():
+    states, images, trace = make_stream(20, 30)
+    small = replace(trace, distance=trace.distance / 1000.0)
+    figure = trace_figure(Trace("a", small, states, images, make_fingerprint(30), 0.00123, [make_decision()]))
+    assert titled(figure, f"{(small.distance < 0.00123).sum()} of 20 images are below the distance threshold 0.0012")
+    captions = [axes.get_xlabel() for axes in figure.axes if axes.get_xlabel().startswith("image ")]
+    assert not any("distance 0.00\n" in caption for caption in captions)
 
 
 def test_trace_pairs_images_with_stored_views():
