@@ -20,6 +20,7 @@ from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matches
 from embodied_active_learning.objects.scoring import Truth
+from embodied_active_learning.objects.unknown import UnknownObject
 
 CONFIG = Config.from_dict({"camera": {"width": 24, "height": 20}, "model": {"latent_size": 2}})
 WORKSPACE = CONFIG.workspace.box()
@@ -261,6 +262,14 @@ def test_false_claim_has_own_marker_and_outcome():
     assert markers(axes, filled=True, shape="s") == [(0.54, 0.09)]
     assert markers(axes, filled=True) == [(0.39, -0.10)]
     assert "false: 1 of 2" in [text.get_text() for one in figure.axes for text in one.texts]
+
+
+def test_unknown_objects_marked_in_belief_maps():
+    unknown = [UnknownObject(np.array([0.6, 0.1]), 1e-3, make_images(1)[0])]
+    figure = beliefs_figure(WORKSPACE, [make_panel([make_decision()])], unknown=unknown)
+    assert markers(titled(figure, "a, object-1")[0], filled=False, shape="D") == [(0.6, 0.1)]
+    assert "unknown object" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert_nothing_is_cut(figure)
 
 
 def test_belief_maps_share_colour_scale_and_bar():
