@@ -60,7 +60,7 @@ def test_impossible_random_world_is_rejected(tmp_path):
 
 def script(name, *arguments):
     command = [sys.executable, str(SCRIPTS / name), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_scripts_write_and_preview_a_world(tmp_path):
