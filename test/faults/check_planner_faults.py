@@ -280,7 +280,7 @@ class PlannerFaultsTest(unittest.TestCase):
 
     def test_pause_and_resume_report_whether_they_changed_state(self):
         response = self.call("planner/resume")
-        self.assertEqual((response.success, response.message), (False, "not paused"))
+        self.assertEqual((response.success, response.message), (True, "was not paused"))
         self.check_pause()
         response = self.call("planner/pause")
         self.assertEqual((response.success, response.message), (True, "already paused"))

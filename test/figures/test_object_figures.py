@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.matching import Matches
 from embodied_active_learning.objects.scoring import Truth
+from embodied_active_learning.objects.unknown import UnknownObject
 
 CONFIG = Config.from_dict({"camera": {"width": 24, "height": 20}, "model": {"latent_size": 2}})
 WORKSPACE = CONFIG.workspace.box()
@@ -170,7 +172,7 @@ def test_decisions_marked_with_number_confidence_and_yaw():
     assert markers(axes, filled=False) == []
     numbers = {text.get_text(): text.xy for text in axes.texts}
     assert (numbers["1"], numbers["2"]) == ((0.40, 0.05), (0.55, -0.1))
-    assert [text.get_text() for text in axes.texts].count("90%") == 2
+    assert [text.get_text() for text in axes.texts].count("0.90") == 2
     ticks = [np.diff(line.get_xydata(), axis=0)[0] for line in axes.lines if len(line.get_xdata()) == 2]
     assert [np.arctan2(y, x) for x, y in ticks] == pytest.approx([0.0, np.pi / 2])
 
@@ -179,7 +181,7 @@ def test_rejected_candidate_is_hollow_without_number():
     figure = beliefs_figure(WORKSPACE, [make_panel([make_decision(0.40, 0.05, instance=0, reason="2 of 30")])])
     axes = titled(figure, "a, object-1")[0]
     assert (markers(axes, filled=False), markers(axes, filled=True)) == ([(0.40, 0.05)], [])
-    assert [text.get_text() for text in axes.texts] == ["90%"]
+    assert [text.get_text() for text in axes.texts] == []
     notes = [text.get_text() for one in figure.axes for text in one.texts]
     assert NOT_HERE in notes
     assert any(note.startswith("2 of 30") for note in notes)
@@ -211,6 +213,15 @@ def test_trace_text_is_not_cut():
     decided = [make_decision(instance=0, reason="only 4 views, 5 required"), make_decision(0.4, -0.1)]
     fingerprint = make_fingerprint(30, name="object-with-a-long-name")
     assert_nothing_is_cut(trace_figure(Trace(LONG, trace, states, images, fingerprint, 1.0, decided, TRUTH)))
+
+
+def test_trace_shows_small_distances_with_significant_digits():
+    states, images, trace = make_stream(20, 30)
+    small = replace(trace, distance=trace.distance / 1000.0)
+    figure = trace_figure(Trace("a", small, states, images, make_fingerprint(30), 0.00123, [make_decision()]))
+    assert titled(figure, f"{(small.distance < 0.00123).sum()} of 20 images are below the distance threshold 0.0012")
+    captions = [axes.get_xlabel() for axes in figure.axes if axes.get_xlabel().startswith("image ")]
+    assert not any("distance 0.00\n" in caption for caption in captions)
 
 
 def test_trace_pairs_images_with_stored_views():
@@ -251,6 +262,14 @@ def test_false_claim_has_own_marker_and_outcome():
     assert markers(axes, filled=True, shape="s") == [(0.54, 0.09)]
     assert markers(axes, filled=True) == [(0.39, -0.10)]
     assert "false: 1 of 2" in [text.get_text() for one in figure.axes for text in one.texts]
+
+
+def test_unknown_objects_marked_in_belief_maps():
+    unknown = [UnknownObject(np.array([0.6, 0.1]), 1e-3, make_images(1)[0])]
+    figure = beliefs_figure(WORKSPACE, [make_panel([make_decision()])], unknown=unknown)
+    assert markers(titled(figure, "a, object-1")[0], filled=False, shape="D") == [(0.6, 0.1)]
+    assert "unknown object" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert_nothing_is_cut(figure)
 
 
 def test_belief_maps_share_colour_scale_and_bar():

@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ import torch
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.figures.entropy_map import entropy_maps
-from embodied_active_learning.figures.learning_metrics import draw_learning_metrics
+from embodied_active_learning.figures.learning_metrics import _columns, draw_learning_metrics
 from embodied_active_learning.figures.reconstructions import select_images
 from embodied_active_learning.figures.session_figures import draw_session_figures
 from embodied_active_learning.figures.top_view import compose_top_view, load_session_images
@@ -187,6 +188,12 @@ def test_learning_metrics_group_seeds_by_world(tmp_path):
         for seed in (0, 1)
     ]
     assert_picture(draw_learning_metrics(tmp_path / "new" / "metrics.png", sessions, load_path), 1184)
+
+
+def test_learning_metrics_of_one_session_name_it(tmp_path):
+    sections = {"exploration": {"seed": 7}, "simulation": {"world": "/lab/My_table.yaml"}}
+    config = make_config(tmp_path, "first-run", **sections)
+    assert list(_columns([SimpleNamespace(config=config)])) == ["first-run\nMy_table, seed 7"]
 
 
 def test_learning_metrics_of_new_run(tmp_path, recwarn):

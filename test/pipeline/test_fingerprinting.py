@@ -43,8 +43,10 @@ def test_summary_counts_prints_that_clustering_leaves_out():
     assert "skipped" not in describe_clustering(found, FingerprintConfig(clustering="camera"))
 
 
-def test_given_trials_are_simulated_instead_of_the_sessions():
+def test_given_trials_are_simulated_instead_of_the_sessions(caplog):
+    caplog.set_level("INFO", "embodied_active_learning")
     learned = learn((Thing(0, (0.40, -0.07, 0.6)),), (0.36, 0.12))
     config = replace(learned.config, fingerprint=FingerprintConfig(trials=5))
     found = calibrated(learned.fingerprints[0], learned.fingerprints, config)
     assert len(found.calibration.true) == len(found.calibration.false) == 5
+    assert "computing the limits of object-1 (1 of 1)" in caplog.text

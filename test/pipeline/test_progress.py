@@ -30,6 +30,24 @@ def test_stalled_run_has_no_remaining_time():
     assert "left -" in line.describe(Progress(5, 100, 0, 300))
 
 
+def test_standstill_does_not_lengthen_time_left():
+    """One step a second, with a pause of 1000 s after 30 of 100."""
+    now = [0.0]
+    line = ProgressLine(clock=lambda: now[0])
+    for step in range(0, 31, 5):
+        line.describe(Progress(step, 100, 0, 0))
+        now[0] += 5.0
+    for _ in range(200):
+        assert "left 1:10" in line.describe(Progress(30, 100, 0, 0))
+        now[0] += 5.0
+    assert "left 1:05" in line.describe(Progress(35, 100, 0, 0))
+
+
+def test_paused_run_names_who_paused_it():
+    line = ProgressLine().describe(Progress(5, 100, 0, 300, paused_by="/fingerprinter"))
+    assert line.endswith("paused by /fingerprinter")
+
+
 def test_duration_is_formatted_as_clock():
     assert duration(59.6) == "1:00"
     assert duration(3725) == "62:05"

@@ -60,7 +60,7 @@ def test_impossible_random_world_is_rejected(tmp_path):
 
 def script(name, *arguments):
     command = [sys.executable, str(SCRIPTS / name), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_scripts_write_and_preview_a_world(tmp_path):
@@ -69,7 +69,7 @@ def test_scripts_write_and_preview_a_world(tmp_path):
     shown = script("show_world", tmp_path / "mine.yaml", "--output", tmp_path / "mine.png")
     assert shown.returncode == 0, shown.stderr
     assert "object_1: " in shown.stdout
-    assert cv2.imread(str(tmp_path / "mine.png")).shape == (900, 900, 3)
+    assert cv2.imread(str(tmp_path / "mine.png")).shape == (960, 960, 3)
 
 
 def test_preview_reports_invalid_world(tmp_path):

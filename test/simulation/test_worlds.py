@@ -113,6 +113,8 @@ def test_kind_and_pybullet_address_are_used(load):
         (f"objects: {{a: {DUCK[:-1]}, yaw: true}}}}", "objects/a/yaw is True: expected a number"),
         ("objects: {a: {position: [0.4, 0]}}", "objects/a/urdf is missing"),
         ("objects: {a: {urdf: gone.urdf, position: [0.4, 0]}}", "gone.urdf is missing"),
+        ("objects: {a: {urdf: random_urdfs/1042, position: [0.4, 0]}}", "random_urdfs/000 to /999"),
+        ("objects: {a: {}}", f"see the shipped worlds in {resources.worlds_folder()}"),
         ("objects: {a: {urdf: 'package://no_such_package/a.urdf', position: [0, 0]}}", "package no_such_package"),
         ("objects: [a, b]", "objects is .*: expected keys and values"),
         ("table: {texture: gone.png}", "gone.png is missing"),

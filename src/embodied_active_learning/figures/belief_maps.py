@@ -27,11 +27,13 @@ from embodied_active_learning.figures.workspace_axes import (
     extent_of,
     mark_decisions,
     mark_objects,
+    mark_unknown,
     show_extent,
 )
 from embodied_active_learning.objects.beliefs import above_median, shared_scale
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.scoring import NO_TRUTH, Truth
+from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.workspace import Workspace
 
 # Layout in inches. Explicit, because Matplotlib's layout engine takes half a minute for 60 maps.
@@ -82,9 +84,10 @@ def draw_beliefs(
     view: Optional[TopView] = None,
     truth: Truth = NO_TRUTH,
     pdf: bool = False,
+    unknown: Sequence[UnknownObject] = (),
 ) -> Path:
     """Draw the table from above and the belief map of every fingerprint, with one colour scale."""
-    return save(beliefs_figure(workspace, panels, view, truth), path, pdf)
+    return save(beliefs_figure(workspace, panels, view, truth, unknown), path, pdf)
 
 
 def beliefs_figure(
@@ -92,6 +95,7 @@ def beliefs_figure(
     panels: Sequence[BeliefPanel],
     view: Optional[TopView] = None,
     truth: Truth = NO_TRUTH,
+    unknown: Sequence[UnknownObject] = (),
 ) -> Figure:
     """Return the figure of draw_beliefs."""
     before = int(view is not None)
@@ -108,10 +112,12 @@ def beliefs_figure(
     for axes, (left, top), panel in zip(maps[before:], corners[before:], panels):
         image = _draw_map(axes, panel, limits, workspace, truth)
         _draw_note(place(figure, left + _MAP + _GAP, top, _THUMBNAIL, _THUMBNAIL), panel, truth)
+    for axes in maps:
+        mark_unknown(axes, unknown)
     if image is not None:
         _add_colour_bar(figure, image)
     _remove_inner_labels(maps, columns)
-    add_marker_legend(figure, bool(truth.objects))
+    add_marker_legend(figure, bool(truth.objects), with_unknown=bool(unknown))
     return figure
 
 

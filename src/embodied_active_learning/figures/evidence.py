@@ -21,7 +21,8 @@ _DIMMED = 4
 _LINES, _LINE_LENGTH = 4, 34
 """Lines of a reason that are shown, and characters in each."""
 _EXTENT = 50.0 * SIDE * PIXEL  # half a side in cm
-_COLUMNS = ("learned", "object's pixels", "best place", "match: object (dots), ring (crosses)")
+_MATCH = "object (dots), ring around it (crosses)\ngreen: for the object, red: against it"
+_COLUMNS = ("learned", "object's pixels", "best place", _MATCH)
 
 
 class Evidence(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Protocol, Sequence, Tuple
 
@@ -25,6 +26,7 @@ from embodied_active_learning.figures.top_view import TopView
 from embodied_active_learning.figures.workspace_axes import draw_path, draw_top_view
 
 _COLUMN_WIDTH, _LABEL_WIDTH, _ROW_HEIGHT = 3.2, 1.0, 9.2 / 6.6  # inches, of a row of height 1
+_TITLE_WIDTH = 40  # characters
 
 _Row = Tuple[float, Callable[[Axes, Sequence["MeasuredRun"]], None]]
 """Relative height of a row, and what draws it for the runs of a column."""
@@ -48,7 +50,7 @@ def draw_learning_metrics(
     load_path: Callable[[Any], Tuple[np.ndarray, TopView]],
     pdf: bool = False,
 ) -> Path:
-    """Draw a column per world and explorer, with a line per seed.
+    """Draw a column per world and explorer, with a line per seed; the title of a single session has its name.
 
     Args:
         path: Where to write the figure.
@@ -94,8 +96,10 @@ def _columns(sessions: Sequence[MeasuredRun]) -> Dict[str, List[MeasuredRun]]:
         explorer = session.config.exploration.explorer
         config = session.config
         where = config.simulation.world if config.arm.robot == SIMULATED else config.arm.robot
-        world = Path(where).stem.capitalize()
+        world = Path(where).stem
         title = world if explorer == "ergodic" else f"{world}, {explorer.replace('_', ' ')}"
+        if len(sessions) == 1:
+            title = f"{textwrap.fill(config.session.name, _TITLE_WIDTH)}\n{title}, {_seed(session)}"
         columns.setdefault(title, []).append(session)
     return columns
 

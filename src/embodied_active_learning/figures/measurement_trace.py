@@ -57,7 +57,7 @@ _TITLE_WIDTH = 120  # characters
 # Layout in inches, from the upper left corner.
 _WIDTH, _LEFT = 11.6, 0.25
 _DISTANCES_TOP, _MAP_TOP, _PAIRS_TOP = 1.3, 3.85, 7.95
-_DISTANCES_LEFT, _DISTANCES_HEIGHT = 2.6, 1.6
+_DISTANCES_LEFT, _DISTANCES_HEIGHT = 2.75, 1.6
 _MAP_LEFT, _MAP = 0.75, 2.9
 _WINNERS_LEFT = 5.2
 _PAIR_WIDTH, _PAIR_HEIGHT, _PAIR_GAP = 2.12, 1.04, 0.12  # stored and new image side by side
@@ -135,7 +135,7 @@ def _draw_distances(axes: Axes, trace: Trace, shown: np.ndarray) -> None:
     axes.locator_params(axis="x", integer=True)
     axes.set_xlim(-0.5, len(below) - 0.5)
     axes.set_ylim(bottom=0.0)
-    title = f"{below.sum()} of {len(below)} images are below the distance threshold {trace.threshold:.2f} (dashed)"
+    title = f"{below.sum()} of {len(below)} images are below the distance threshold {trace.threshold:.2g} (dashed)"
     x_label = "image (ringed: shown below)" if len(shown) else "image"
     label(axes, x_label, "distance to the most\nsimilar stored view", title)
 
@@ -155,7 +155,7 @@ def _draw_poses(axes: Axes, bar: Axes, trace: Trace) -> None:
     outside = ((x < extent[0]) | (x > extent[1]) | (y < extent[2]) | (y > extent[3])).sum()
     axes.set_title("measured object poses" + f" ({outside} outside)" * bool(outside), fontsize=MEDIUM)
     scale = axes.figure.colorbar(points, cax=bar, extend="both")
-    scale.set_label("measurement", fontsize=SMALL)
+    scale.set_label("measurement (0.5: distance at the threshold)", fontsize=SMALL)
     bar.tick_params(labelsize=SMALL)
 
 
@@ -182,7 +182,7 @@ def _draw_pairs(figure: Figure, top: float, trace: Trace, decision: Decision, ch
     for column, index in enumerate(chosen):
         axes = place(figure, _LEFT + column * (_PAIR_WIDTH + _PAIR_GAP), top, _PAIR_WIDTH, _PAIR_HEIGHT)
         distance = matches.distance[index]
-        caption = f"image {index}: distance {distance:.2f}"
+        caption = f"image {index}: distance {distance:.2g}"
         if decision.kind != BLANK:
             error, _ = pose_distance(matches.pose[index], decision.pose)
             caption += f"\nmeasured {100.0 * error:.1f} cm from here"

@@ -16,9 +16,10 @@ from matplotlib.patches import Rectangle
 from embodied_active_learning.figures.style import MAP_COLOURS, MEDIUM, SMALL, UNSEEN, colour, label, style_axes
 from embodied_active_learning.figures.top_view import TopView
 from embodied_active_learning.geometry import Location
-from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.decision import NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.scoring import Truth
+from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.workspace import Workspace
 
 Extent = Tuple[float, float, float, float]
@@ -31,6 +32,15 @@ FALSE_CLAIM = colour(6)
 _OUTLINE = (patheffects.withStroke(linewidth=2.5, foreground="black"),)
 _CROSS_STYLE: Dict[str, Any] = {"color": "white", "markeredgewidth": 1.4, "path_effects": _OUTLINE}
 _CROSS_SIZE = 9  # points
+_UNKNOWN_STYLE: Dict[str, Any] = {
+    "marker": "D",
+    "linestyle": "none",
+    "markersize": 16,  # points, visible behind the marker of a decision
+    "markerfacecolor": "none",
+    "markeredgecolor": colour(4),
+    "markeredgewidth": 1.4,
+    "path_effects": _OUTLINE,
+}
 _MARKER_SIZE = 11  # points
 _BEHIND_EXTRA = 7  # points by which a cross is larger than the marker in front of it
 _MARKER_ZORDER = 4  # above texts, which have zorder 3
@@ -93,6 +103,12 @@ def mark_objects(axes: Axes, objects: Sequence[Location], behind: bool = False) 
         _write_beside(axes, name, (x, y), SMALL if behind else MEDIUM, above=True)
 
 
+def mark_unknown(axes: Axes, unknown: Sequence[UnknownObject]) -> None:
+    """Mark unknown objects, which no fingerprint matches."""
+    for item in unknown:
+        axes.plot(*item.place, **_UNKNOWN_STYLE)
+
+
 def mark_decisions(axes: Axes, decisions: Sequence[Decision], truth: Truth) -> None:
     """Mark decisions with number, confidence and yaw; set the limits of the axes first.
 
@@ -105,7 +121,8 @@ def mark_decisions(axes: Axes, decisions: Sequence[Decision], truth: Truth) -> N
         if decision.found:
             text: Dict[str, Any] = {"color": "white", "fontsize": SMALL, "weight": "bold", "zorder": _MARKER_ZORDER + 1}
             axes.annotate(str(decision.instance), (x, y), ha="center", va="center", **text)
-        _write_beside(axes, f"{decision.confidence:.0%}", (x, y), SMALL, above=False)
+        if decision.outcome != NOT_HERE:
+            _write_beside(axes, decision.confidence_text, (x, y), SMALL, above=False)
 
 
 def mark_pose(axes: Axes, pose: np.ndarray, with_yaw: bool, style: Dict[str, Any]) -> None:
@@ -136,7 +153,7 @@ def marker_style(found: bool = True, is_false: bool = False) -> Dict[str, Any]:
     }
 
 
-def add_marker_legend(figure: Figure, with_truth: bool, down: float = 0.0) -> None:
+def add_marker_legend(figure: Figure, with_truth: bool, down: float = 0.0, with_unknown: bool = False) -> None:
     """Add a legend of the markers, `down` inches below the top of the figure."""
     handles = [
         Line2D([], [], label="found: number, confidence, tick towards yaw", **marker_style()),
@@ -146,7 +163,9 @@ def add_marker_legend(figure: Figure, with_truth: bool, down: float = 0.0) -> No
         cross = {"marker": "+", "linestyle": "none", "markersize": _CROSS_SIZE, **_CROSS_STYLE}
         handles.append(Line2D([], [], label="false claim", **marker_style(is_false=True)))
         handles.append(Line2D([], [], label="true object", **cross))
-    columns = len(handles) if figure.get_figwidth() > _ONE_LINE_WIDTH else 1
+    if with_unknown:
+        handles.append(Line2D([], [], label="unknown object", **{**_UNKNOWN_STYLE, "markersize": _CROSS_SIZE}))
+    columns = len(handles) if figure.get_figwidth() > _ONE_LINE_WIDTH else 2
     corner = (0.0, 1.0 - down / figure.get_figheight())
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=columns, fontsize=SMALL, frameon=False

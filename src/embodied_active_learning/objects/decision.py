@@ -53,6 +53,11 @@ class Decision:
         """Whether the object was found at the pose."""
         return self.outcome == FOUND
 
+    @property
+    def confidence_text(self) -> str:
+        """The confidence with two digits; a dash for NOT_HERE, as it rates the candidate and not the absence."""
+        return "-" if self.outcome == NOT_HERE else f"{self.confidence:.2f}"
+
 
 def decisions_about(decisions: Sequence[Decision], session: str, fingerprint: str) -> List[Decision]:
     """Return the decisions about one fingerprint of a session."""

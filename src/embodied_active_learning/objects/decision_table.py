@@ -8,10 +8,11 @@ import numpy as np
 
 from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision
+from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.scoring import NO_TRUTH, SAME_PLACE, Truth, nearest
 from embodied_active_learning.objects.unknown import UnknownObject
 
-_COLUMNS = ("fingerprint", "kind", "outcome", "x [m]", "y [m]", "confidence", "error [cm]", "reason")
+_COLUMNS = ("fingerprint", "kind", "outcome", "x [m]", "y [m]", "yaw [rad]", "confidence", "error [cm]", "reason")
 
 
 def decision_table(decisions: Sequence[Decision], truth: Truth = NO_TRUTH) -> str:
@@ -30,13 +31,15 @@ def unknown_text(unknown: Sequence[UnknownObject]) -> str:
 
 def _row(decision: Decision, truth: Truth) -> Tuple[str, ...]:
     """Cells of one decision."""
-    place = [f"{value:.3f}" for value in decision.pose[:2]] if decision.found else ["-", "-"]
+    x, y, yaw = decision.pose
+    yaw_text = "-" if decision.kind == BLANK else f"{yaw:.2f}"
+    place = (f"{x:.3f}", f"{y:.3f}", yaw_text) if decision.found else ("-", "-", "-")
     return (
         f"{decision.session}/{decision.fingerprint}",
         truth.kinds.get((decision.session, decision.fingerprint), "") or "?",
         _outcome(decision, truth),
         *place,
-        f"{decision.confidence:.2f}",
+        decision.confidence_text,
         _error(decision, truth),
         decision.reason,
     )
@@ -48,7 +51,7 @@ def _outcome(decision: Decision, truth: Truth) -> str:
         return decision.outcome
     if truth.is_false_claim(decision):
         return f"false positive: {_at(decision.pose, truth.objects)}"
-    return f"found, no. {decision.instance}"
+    return f"found, place {decision.instance}"
 
 
 def _at(pose: np.ndarray, objects: Sequence[Location]) -> str:

@@ -171,6 +171,9 @@ def calibrated(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], co
     if appearance.problem:
         LOG.warning("%s will not be recognised elsewhere: %s", fingerprint.name, appearance.problem)
         return fingerprint
+    objects = [item.name for item in fingerprints if item.kind == OBJECT]
+    number = 1 + objects.index(fingerprint.name)
+    LOG.info("computing the limits of %s (%d of %d)", fingerprint.name, number, len(objects))
     return replace(fingerprint, calibration=calibrate(appearance, config.fingerprint.trials))
 
 

@@ -25,6 +25,8 @@ class Progress:
     ergodic_measure: float = math.nan
     stopping: str = ""
     """How far the stopping criterion is; empty if the number of steps is fixed."""
+    paused_by: str = ""
+    """Names of the nodes that have paused the planner; empty if it is not paused."""
 
     @property
     def share(self) -> float:
@@ -34,20 +36,31 @@ class Progress:
         return (self.updates + self.step) / (self.updates_planned + self.steps)
 
 
+_STANDSTILL = 15.0
+"""Seconds without progress after which a run counts as paused or held."""
+
+
 class TimeLeft:
-    """Estimates the remaining time from the last reports of the completed share."""
+    """Estimates the remaining time from the last reports of the completed share, without standstills."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, window: int = 24) -> None:
         self._clock = clock
-        self._recent: Deque[Tuple[float, float]] = deque(maxlen=window)
+        self._recent: Deque[Tuple[float, float]] = deque(maxlen=window)  # seconds of work, completed share
+        self._reported_at = self._advanced_at = clock()
 
     def estimate(self, share: float) -> float:
         """Return the seconds left at a completed share (0 to 1); NaN while there was no progress."""
-        self._recent.append((self._clock(), share))
-        (start, share_then), (now, share_now) = self._recent[0], self._recent[-1]
+        now = self._clock()
+        work, reached = self._recent[-1] if self._recent else (0.0, -math.inf)
+        if share > reached:
+            stood_still = self._reported_at - self._advanced_at > _STANDSTILL
+            self._recent.append((work + now - (self._reported_at if stood_still else self._advanced_at), share))
+            self._advanced_at = now
+        self._reported_at = now
+        (start, share_then), (end, share_now) = self._recent[0], self._recent[-1]
         if share_now <= share_then:
             return math.nan
-        return (1.0 - share_now) * (now - start) / (share_now - share_then)
+        return (1.0 - share_now) * (end - start) / (share_now - share_then)
 
 
 class ProgressLine:
@@ -58,14 +71,15 @@ class ProgressLine:
 
     def describe(self, progress: Progress) -> str:
         """Return the line for the current progress."""
+        # The stopping criterion may end the run earlier.
+        left = f"left {'at most ' if progress.stopping else ''}{duration(self._left.estimate(progress.share))}"
         parts = [
             f"step {progress.step}/{progress.steps}",
             f"updates {progress.updates}/{progress.updates_planned}",
             f"loss {_number(progress.loss, '.3f')}",
             f"active units {_number(progress.active_units, '.0f')}/{progress.latent_size}",
             f"ergodic measure {_number(progress.ergodic_measure, '.3f')}",
-            # The stopping criterion may end the run earlier.
-            f"left {'at most ' if progress.stopping else ''}{duration(self._left.estimate(progress.share))}",
+            f"paused by {progress.paused_by}" if progress.paused_by else left,
             progress.stopping,
         ]
         return "  ".join(part for part in parts if part)

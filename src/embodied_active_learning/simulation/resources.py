@@ -17,7 +17,7 @@ PACKAGE = "embodied_active_learning"
 
 _PACKAGE_SCHEME = "package://"
 _PYBULLET_SCHEME = "pybullet_data://"
-_RANDOM_URDF = re.compile(r"random_urdfs/(\d{3})")
+_RANDOM_URDF = re.compile(r"random_urdfs/(\d+)")
 
 
 def worlds_folder() -> Path:
@@ -42,10 +42,12 @@ def locate(address: str, folder: Path) -> Path:
     """Return the path behind an address; the file may not exist.
 
     address: package://PACKAGE/PATH, pybullet_data://PATH, random_urdfs/000 to /999 (procedural objects in
-    pybullet_data), or a path relative to the folder. Raises WorldError for an unknown package.
+    pybullet_data), or a path relative to the folder. Raises WorldError for an unknown package or procedural object.
     """
     random_urdf = _RANDOM_URDF.fullmatch(address)
     if random_urdf:
+        if len(random_urdf[1]) != 3:
+            raise WorldError(f"unknown object {address}: pybullet_data has random_urdfs/000 to /999")
         return _pybullet_data() / "random_urdfs" / random_urdf[1] / f"{random_urdf[1]}.urdf"
     if address.startswith(_PYBULLET_SCHEME):
         return _pybullet_data() / address[len(_PYBULLET_SCHEME) :]

@@ -32,7 +32,6 @@ _TABLE_MARGIN = 0.25  # m of table around the workspace: more than half the came
 _MAX_OBJECTS = 200
 DEFAULT_TEXTURE = GeneratedTexture("plain", 57)
 """Light grey with faint grain: images of one colour would hold the arm."""
-_READER = FileReader(WorldError, "see docs/worlds.md and the worlds in worlds/", follow=True)
 
 _log = logging.getLogger(__name__)
 
@@ -65,7 +64,8 @@ def load_world(name_or_path: Union[str, Path], workspace: Workspace, camera: Opt
         WorldError: The world cannot be built; the message names file, key and remedy.
     """
     path = find_world(name_or_path)
-    world = build_world(load(WorldSettings, path, _READER), workspace, path)
+    reader = FileReader(WorldError, f"see the shipped worlds in {worlds_folder()}", follow=True)
+    world = build_world(load(WorldSettings, path, reader), workspace, path)
     if camera is not None:
         try:
             check_heights(world.objects, camera)

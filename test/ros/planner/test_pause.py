@@ -6,7 +6,7 @@ from std_srvs.srv import TriggerResponse
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.planner import pause
-from embodied_active_learning.ros.planner.pause import PlannerPause
+from embodied_active_learning.ros.planner.pause import PlannerPause, planner_paused_by
 from embodied_active_learning.ros.planner.pause_server import PauseRequests
 
 
@@ -67,6 +67,14 @@ def test_planner_paused_during_block_only(planner):
         fail()
     assert not planner.is_paused
     assert planner.stored() == ""
+
+
+def test_unreachable_master_names_no_pause(planner, monkeypatch):
+    def refuse(name):
+        raise ConnectionRefusedError(name)
+
+    monkeypatch.setattr(pause.persistent_parameters, "load", refuse)
+    assert planner_paused_by() == ""
 
 
 def test_planner_paused_before_stays_paused(planner):

@@ -1,6 +1,12 @@
 """Requests of several nodes to pause the planner."""
 
-from embodied_active_learning.ros.planner.pause_server import PauseRequests
+from types import SimpleNamespace
+
+import pytest
+from std_srvs.srv import TriggerRequest
+
+from embodied_active_learning.ros.planner import pause_server
+from embodied_active_learning.ros.planner.pause_server import PauseRequests, PauseServer
 
 
 def test_person_pause_outlasts_fingerprinter_pause():
@@ -47,6 +53,18 @@ def test_person_can_end_a_pause_after_another_one():
 def test_release_without_pause_changes_nothing():
     assert not PauseRequests().release("/fingerprinter")
     assert not PauseRequests().resume("/rosservice_1")
+
+
+@pytest.mark.parametrize(
+    ("paused_by", "success", "message"),
+    [("", True, "was not paused"), ("/rosservice_1 /fingerprinter", False, "still paused by /rosservice_1")],
+)
+def test_resume_succeeds_unless_others_pause(monkeypatch, paused_by, success, message):
+    monkeypatch.setattr(pause_server.persistent_parameters, "load", lambda name: paused_by)
+    monkeypatch.setattr(pause_server.persistent_parameters, "store", lambda name, text: None)
+    monkeypatch.setattr(pause_server, "name_of_caller", lambda request: "/fingerprinter")
+    response = PauseServer(SimpleNamespace(pause=lambda cause: None)).resume(TriggerRequest())
+    assert (response.success, response.message) == (success, message)
 
 
 def test_pause_requests_restored_from_text():

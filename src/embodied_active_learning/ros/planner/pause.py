@@ -10,6 +10,7 @@ import rospy
 from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.runtime import persistent_parameters
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS
 from embodied_active_learning.ros.runtime.node import wait_until, wall_sleep
 from embodied_active_learning.ros.runtime.services import is_advertised, trigger_if_advertised
 
@@ -76,6 +77,14 @@ class PlannerPause:
                 rospy.logwarn("cannot resume the planner: %s", error)
         release, resume = map(rospy.resolve_name, (names.PLANNER_RELEASE_PAUSE, names.PLANNER_RESUME))
         rospy.logerr("the planner is still paused: %s does not respond; call %s", release, resume)
+
+
+def planner_paused_by() -> str:
+    """Return the names of the nodes that have paused the planner; empty if none has, or the master does not respond."""
+    try:
+        return persistent_parameters.load(names.PLANNER_PAUSED_BY)
+    except CALL_ERRORS:
+        return ""
 
 
 def _is_paused_by_this_node() -> bool:

@@ -97,11 +97,11 @@ class PauseServer:
         return TriggerResponse(True, message)
 
     def resume(self, request: Any) -> TriggerResponse:
-        """End the caller's pause, or all if it has none; success if the planner resumes."""
+        """End the caller's pause, or all if it has none; success unless another node still pauses the planner."""
         return self._end_pause(self._requests.resume, request)
 
     def release(self, request: Any) -> TriggerResponse:
-        """End the caller's pause; success if the planner resumes."""
+        """End the caller's pause; success unless another node still pauses the planner."""
         return self._end_pause(self._requests.release, request)
 
     def _end_pause(self, end: Callable[[str], bool], request: Any) -> TriggerResponse:
@@ -110,7 +110,7 @@ class PauseServer:
                 self._arm.resume()
                 return TriggerResponse(True, "exploring")
         others = self._requests.text
-        return TriggerResponse(False, f"still paused by {others}" if others else "not paused")
+        return TriggerResponse(not others, f"still paused by {others}" if others else "was not paused")
 
     def _hold_back(self) -> None:
         self._arm.pause(f"a call of {rospy.resolve_name(names.PLANNER_RESUME)}")

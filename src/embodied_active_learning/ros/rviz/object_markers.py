@@ -37,7 +37,7 @@ def decision_markers(
     markers: List[Marker] = [Marker(action=Marker.DELETEALL)]
     for number, decision in enumerate(item for item in decisions if item.found):
         colour = BLANK_COLOUR if decision.kind == BLANK else FOUND_COLOUR
-        text = f"{decision.session}/{decision.fingerprint} {decision.confidence:.2f}"
+        text = f"{decision.session}/{decision.fingerprint} {decision.confidence_text}"
         markers.append(disc_marker(stamp, "decisions", number, decision.pose, colour))
         markers.append(label_marker(stamp, "decision_names", number, decision.pose, text))
     for number, item in enumerate(unknown):
