@@ -289,7 +289,6 @@ def test_canary_detects_execution(tmp_path):
         ("a: " + "9" * 100000, "a number has 100000 digits"),
         ("a: 1\nb: 2\na: 3\n", "line 3: duplicate key 'a'"),
         ("1: 2\n", "key 1 is not a text"),
-        ("a: 2026-99-99\n", "month must be in"),
         ("a: !!binary x\n", "the tag .* is not supported"),
         ("a: 1\n--- \nb: 1\n", "expected a single document"),
         ("\x00", "special characters"),

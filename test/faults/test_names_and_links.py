@@ -13,7 +13,8 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.naming import MAX_NAME_LENGTH, check_name
 from embodied_active_learning.pipeline.identification import IdentificationRun, check_results, read_sets
-from embodied_active_learning.pipeline.resolve import parse_overrides, resolve_config
+from embodied_active_learning.pipeline.resolve import resolve_config
+from embodied_active_learning.ros.launch_arguments import parse_overrides
 from embodied_active_learning.session.fingerprint_sets import MAX_SESSIONS
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification

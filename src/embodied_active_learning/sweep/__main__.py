@@ -114,7 +114,8 @@ def _plan(jobs: Sequence[Job], folder: Path, workers: int) -> str:
         lines.append(f"{job.run.name}: {state}")
         if job.complete:
             record = load_record(job.record)
-            rates.append(record.summary.wall_time / max(1, record.summary.steps))
+            if not record.failure:  # a run that diverged has not made all its steps
+                rates.append(record.summary.wall_time / max(1, record.summary.steps))
         else:
             left += (1.0 - progress.share) * progress.steps
     time = duration(left * statistics.median(rates) / workers) if rates else "unknown until a run is complete"

@@ -22,7 +22,7 @@ class Scene:
     def __init__(self, **camera):
         self.now = 100.0
         self.pictures = np.random.default_rng(0)
-        config = Config.from_dict({"camera": {**CAMERA, **camera}})
+        config = Config.from_dict({"camera": {**CAMERA, **camera}, "arm": {"robot": "franka"}})
         self.arrives_during_take = []  # stamps of images that arrive while take() waits
         self.camera = PosedCamera(config, clock=self.read_clock)
 
