@@ -66,12 +66,12 @@ class UpdatePlan:
         return due if observations >= self.steps else max(0, due - self.per_refresh)
 
     def observations_awaiting(self, updates: int) -> int:
-        """Return the number of observations after which the planner waits for a model with so many updates.
+        """Return the number of observations after which the planner waits for a model with this many updates.
 
         The inverse of `awaited`, for a positive multiple of per_refresh; at most `steps`.
         """
         return self._observations_for(updates + self.per_refresh)
 
     def _observations_for(self, updates: int) -> int:
-        """Return the smallest number of observations after which so many updates are due, whole rounds or not."""
+        """Return the smallest number of observations after which this many updates are due, whole rounds or not."""
         return min(self.steps, self.first_update_at - 1 + math.ceil(updates / self.per_observation))

@@ -59,7 +59,7 @@ def _declared(paths: Sequence[str]) -> Tuple[Set[str], bool]:
 
 
 def _roslaunch_command_line() -> Optional[List[str]]:
-    """Return the arguments of the nearest parent process that is roslaunch; None if there is none."""
+    """Return the arguments of the nearest parent process that is roslaunch, or None."""
     process = os.getppid()
     for _ in range(_GENERATIONS):
         try:
