@@ -98,7 +98,7 @@ def test_finished_session_not_overwritten(first, tmp_path):
         ({"explorer": "ergodyc"}, "did you mean ergodic?"),
         ({"steps": 0}, "exploration/steps is 0"),
         ({"session": "../elsewhere"}, "session/name is '../elsewhere'"),
-        ({"session": "nothing-there", "resume": "true"}, "there is no session nothing-there in .*: known are"),
+        ({"session": "nothing-there", "resume": "true"}, "there is no session nothing-there in"),
     ],
 )
 def test_invalid_arguments_refused_before_nodes_start(overrides, expected, tmp_path):
