@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Callable, Dict, Mapping, Optional
+from typing import Mapping, Optional
 
 from embodied_active_learning.evaluation.identification_tables import (
     Outcome,
@@ -95,12 +95,9 @@ def hit_share(item: Outcome) -> float:
 def draw_outcomes(name: str, groups: Mapping[str, Rows]) -> None:
     """Draw hits and false claims of each group, with the aims."""
     outcomes = {group: outcome(rows) for group, rows in groups.items()}
-    parts: Dict[str, Callable[[Outcome], Optional[Share]]] = {
-        "hits": lambda item: item.hits,
-        "false claims of absent kinds": lambda item: item.false_claims,
-    }
     panels = {
-        part: {group: interval_of(choose(item)) for group, item in outcomes.items()} for part, choose in parts.items()
+        "hits": {group: interval_of(item.hits) for group, item in outcomes.items()},
+        "false claims of absent kinds": {group: interval_of(item.false_claims) for group, item in outcomes.items()},
     }
     draw_shares(IMAGES / f"{name}.png", panels, AIMS)
 

@@ -17,6 +17,7 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.evaluation.identification_tables import (
+    ALL,
     NO_OBJECT,
     OTHER_TABLE,
     group_by,
@@ -35,7 +36,7 @@ from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS
 from embodied_active_learning.simulation.world import World, build_world
 from embodied_active_learning.simulation.world_settings import Disturbances, GeneratedTexture
 
-LEARNED_TABLE, CLOSE_OBJECTS, ALL = "learned table", "9 cm apart", "all"
+LEARNED_TABLE, CLOSE_OBJECTS = "learned table", "9 cm apart"
 OBJECTS, UNKNOWN_OBJECTS, SPACING, CLOSE = 2, 2, 0.12, 0.09
 EXPOSURE, SPEED = 0.02, 0.15  # s, m/s: a blur of 3 mm, or 3.4 px
 _RESERVED_FROM = 500  # number of the first reserved procedural object

@@ -3,11 +3,17 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.errors import SessionError
-from embodied_active_learning.pipeline.fingerprinting import FingerprintRun, calibrated, describe_clustering
+from embodied_active_learning.pipeline.fingerprinting import (
+    FingerprintRun,
+    calibrated,
+    describe_clustering,
+    describe_weakness,
+)
 from embodied_active_learning.session.session import Session
 from painted_table import Thing, learn
 
@@ -50,3 +56,18 @@ def test_given_trials_are_simulated_instead_of_the_sessions(caplog):
     found = calibrated(learned.fingerprints[0], learned.fingerprints, config)
     assert len(found.calibration.true) == len(found.calibration.false) == 5
     assert "computing the limits of object-1 (1 of 1)" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("own", "expected"),
+    [
+        ([0.010], "; the model is weak: the latent removes 0 % of the reconstruction error"),
+        ([0.010, 0.002], ""),
+        ([], ""),
+    ],
+)
+def test_weakness_is_that_of_the_newest_evaluation(own, expected):
+    others = np.full(len(own), 0.010)
+    weakness = describe_weakness({"mse_own": np.array(own), "mse_shuffled": others, "mse_none": others})
+    assert weakness.startswith(expected)
+    assert bool(weakness) == bool(expected)

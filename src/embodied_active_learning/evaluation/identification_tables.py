@@ -14,7 +14,9 @@ import numpy as np
 from embodied_active_learning.evaluation.result_tables import Rows, binomial_interval, markdown
 from embodied_active_learning.objects.fingerprint import BLANK
 
-OTHER_TABLE = ("other table", "all")
+ALL = "all"
+"""Condition with all changes together."""
+OTHER_TABLE = ("other table", ALL)
 """Conditions with a table that no session learned."""
 NO_OBJECT = "?"
 """Kind of a fingerprint at whose centre no object stands."""

@@ -81,7 +81,7 @@ def judge_run(
             f"visited states do not match the target ({ergodic_measure:.3g} nat, limit {HIGH_ERGODIC_MEASURE});"
             " raise exploration/steps, or use exploration/explorer: ergodic",
         )
-    return Verdict("healthy", _latent_use(errors))
+    return Verdict("healthy", describe_latent_use(errors))
 
 
 def _judge_model(updates: int, errors: ReconstructionErrors) -> Optional[Verdict]:
@@ -92,7 +92,7 @@ def _judge_model(updates: int, errors: ReconstructionErrors) -> Optional[Verdict
             f"mean squared error {errors.own:.3g} with own latent, {errors.none:.3g} without latent, at most"
             f" {GREY_IMAGE_ERROR} with a grey image; lower training/learning_rate",
         )
-    share, use = errors.latent_contribution, _latent_use(errors)
+    share, use = errors.latent_contribution, describe_latent_use(errors)
     if share < UNUSED and updates >= ENOUGH_UPDATES:
         return Verdict("latent not used", f"{use}; lower objective/beta_max, or check that images show objects")
     if share < USEFUL:
@@ -100,5 +100,6 @@ def _judge_model(updates: int, errors: ReconstructionErrors) -> Optional[Verdict
     return None
 
 
-def _latent_use(errors: ReconstructionErrors) -> str:
+def describe_latent_use(errors: ReconstructionErrors) -> str:
+    """Return in words how much of the error an image's own latent removes."""
     return f"the latent removes {100.0 * max(0.0, errors.latent_contribution):.0f} % of the reconstruction error"

@@ -6,13 +6,13 @@ import logging
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import List, Optional, Sequence, Union
+from typing import List, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
 from embodied_active_learning.config import TABLE, Config, FingerprintConfig
 from embodied_active_learning.errors import ObservationError, SessionError
-from embodied_active_learning.model.verdict import UNUSED, ReconstructionErrors
+from embodied_active_learning.model.verdict import UNUSED, ReconstructionErrors, describe_latent_use
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.clustering import Clustering, find_objects
@@ -56,7 +56,7 @@ class FingerprintRun:
                 f"{self._config.training.first_update_at} observations (training/first_update_at); retry later"
             )
         self._trained = trained
-        self._weakness = _weakness(session)
+        self._weakness = describe_weakness(session.read_table("evaluation"))
         with session.open_observations() as store:
             stored = store.snapshot()
         self._observations = len(stored.stamps)
@@ -177,16 +177,15 @@ def calibrated(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], co
     return replace(fingerprint, calibration=calibrate(appearance, config.fingerprint.trials))
 
 
-def _weakness(session: Session) -> str:
-    """Return the end of a sentence that says that the model does not use its latent yet; empty if it does."""
-    evaluation = session.read_table("evaluation")
-    errors = [evaluation[name][-1:] for name in ("mse_own", "mse_shuffled", "mse_none")]
-    if not len(errors[0]):
+def describe_weakness(evaluation: Mapping[str, np.ndarray]) -> str:
+    """Return the end of a sentence that says that the model hardly uses its latent; empty if it does.
+
+    Args:
+        evaluation: The session's table of that name.
+    """
+    if not len(evaluation["mse_own"]):
         return ""
-    contribution = ReconstructionErrors(*map(float, np.concatenate(errors))).latent_contribution
-    if contribution >= UNUSED:
+    errors = ReconstructionErrors(*(float(evaluation[f"mse_{name}"][-1]) for name in ReconstructionErrors._fields))
+    if errors.latent_contribution >= UNUSED:
         return ""
-    return (
-        f"; the model is weak: its latent removes {100.0 * max(0.0, contribution):.0f} % of the reconstruction error; "
-        "make the fingerprints again after more steps"
-    )
+    return f"; the model is weak: {describe_latent_use(errors)}; make the fingerprints again after more steps"

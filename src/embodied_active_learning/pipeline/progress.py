@@ -10,6 +10,9 @@ from typing import Callable, Deque, Optional, Tuple
 
 from embodied_active_learning.session.summary import Summary
 
+_STANDSTILL = 15.0
+"""Seconds without progress after which a run counts as paused or held."""
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -34,10 +37,6 @@ class Progress:
         if self.updates_planned == 0:
             return self.step / self.steps
         return (self.updates + self.step) / (self.updates_planned + self.steps)
-
-
-_STANDSTILL = 15.0
-"""Seconds without progress after which a run counts as paused or held."""
 
 
 class TimeLeft:

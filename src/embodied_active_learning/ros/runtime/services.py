@@ -66,7 +66,8 @@ class RetryingService:
                 self._last_error = ""
                 return response
             except TRANSPORT_ERRORS as error:
-                self._last_error = "" if self._proxy is None else str(error)  # else: it has no server yet
+                # Without a proxy, the service has no server yet.
+                self._last_error = str(error) if self._proxy is not None else ""
                 if HANDLER_FAILED in str(error):
                     raise ServiceError(f"{self._name} failed: {error}; see its node's log") from error
                 if _OTHER_VERSION in str(error):
