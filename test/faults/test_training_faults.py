@@ -15,7 +15,8 @@ from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model import learner as learner_module
 from embodied_active_learning.model.learner import ATTEMPTS
 from embodied_active_learning.model.learner_state import LearnerState
-from embodied_active_learning.pipeline.training import ROLLBACKS, TrainingRun
+from embodied_active_learning.pipeline.run_checkpoints import ROLLBACKS
+from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.observations import DATA_FILE
 from training_thread import TIMEOUT, hand_over, observation, training

@@ -150,6 +150,14 @@ def test_incomplete_state_is_refused_by_name():
         learner.load_state_dict(LearnerState(tensors, counters))
 
 
+def test_unknown_tensor_is_refused_by_name():
+    learner = make()
+    tensors, counters = learner.state_dict()
+    tensors["network/unknown"] = torch.zeros(1)
+    with pytest.raises(ConfigError, match="network/unknown"):
+        learner.load_state_dict(LearnerState(tensors, counters))
+
+
 @pytest.mark.parametrize(
     ("counter", "value"),
     [("updates", "many"), ("replica_updates", None), ("schedule", {"window": [1]}), ("generator", {})],

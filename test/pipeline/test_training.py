@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from embodied_active_learning.errors import ObservationError, SessionError
-from embodied_active_learning.pipeline import training as training_module
 from embodied_active_learning.pipeline.training import TrainingRun
-from embodied_active_learning.session import checkpoints
 from embodied_active_learning.session.checkpoints import load_model
 from training_thread import STEPS, TIMEOUT, configured, hand_over, observation, training
 
@@ -106,24 +104,19 @@ def test_checkpoint_can_be_requested_while_training(tmp_path):
         assert run.save(TIMEOUT).exists()
 
 
-def test_unchanged_checkpoint_is_not_rewritten(tmp_path, monkeypatch):
-    written = []
-
-    def save_checkpoint(folder, updates, *arguments):
-        written.append(updates)
-        return checkpoints.save_checkpoint(folder, updates, *arguments)
-
-    monkeypatch.setattr(training_module, "save_checkpoint", save_checkpoint)
+def test_unchanged_checkpoint_is_not_rewritten(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run) as (_, finished, _):
         hand_over(run, range(STEPS))
         assert finished.wait(TIMEOUT)
-        path = run.save(TIMEOUT)
-        assert written == [2 * STEPS]
+        (path,) = run.folder.glob(f"checkpoints/*{2 * STEPS}.safetensors")
+        written = path.stat().st_mtime_ns
+        assert run.save(TIMEOUT) == path
+        assert path.stat().st_mtime_ns == written
         path.unlink()
         assert run.save(TIMEOUT) == path
-        assert path.exists()
-    assert written == [2 * STEPS, 2 * STEPS]
+        written = path.stat().st_mtime_ns
+    assert path.stat().st_mtime_ns == written
 
 
 def test_session_in_use_cannot_be_opened_again(tmp_path):

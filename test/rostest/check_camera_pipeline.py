@@ -71,7 +71,8 @@ class CameraPipelineTest(unittest.TestCase):
         cls.images, cls.infos = Inbox("camera/image_raw", Image), Inbox("camera/camera_info", CameraInfo)
         cls.from_compressed = Inbox("compressed/camera/image_raw", Image)
         cls.log, cls.diagnostics = Inbox("/rosout", Log), Inbox("/diagnostics", DiagnosticArray)
-        ends = (cls.camera, cls.calibration, cls.compressed, cls.images.subscriber, cls.from_compressed.subscriber)
+        received = (cls.images, cls.infos, cls.from_compressed)
+        ends = (cls.camera, cls.calibration, cls.compressed, *(inbox.subscriber for inbox in received))
         deadline = rospy.get_time() + TIMEOUT
         while not all(end.get_num_connections() for end in ends):
             assert rospy.get_time() < deadline, "the nodes did not start"

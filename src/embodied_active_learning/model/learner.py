@@ -26,6 +26,7 @@ from embodied_active_learning.model.learner_state import (
     require_shapes,
     unpack,
     with_prefix,
+    without_prefix,
 )
 from embodied_active_learning.model.loss import LossFunction, LossTerms
 from embodied_active_learning.model.loss_weights import LossWeights
@@ -295,7 +296,7 @@ class Learner:
         tensors, counters = state
         require_keys(counters, ("updates", "skipped", "rollbacks", "replica_updates", "schedule", "generator"))
         current = self.state_dict().tensors
-        require_shapes(tensors, {name: current[name] for name in current if not name.startswith(PREVIOUS)})
+        require_shapes(without_prefix(PREVIOUS, tensors), without_prefix(PREVIOUS, current))
         previous = with_prefix(PREVIOUS, tensors)
         if previous:
             require_shapes(previous, dict(self.network.named_parameters()))

@@ -36,6 +36,11 @@ def with_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, t
     return {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
+def without_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
+    """Return the tensors whose names do not have the prefix."""
+    return {name: tensor for name, tensor in tensors.items() if not name.startswith(prefix)}
+
+
 def network_weights(tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
     """Return the network's weights among a checkpoint's tensors, by the network's own names."""
     return with_prefix(NETWORK, tensors)
@@ -61,8 +66,14 @@ def require_keys(mapping: Mapping[str, Any], keys: Iterable[str]) -> None:
 
 
 def require_shapes(tensors: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]) -> None:
-    """Raise CorruptFileError for a missing tensor, ConfigError for one of another shape than expected."""
+    """Raise CorruptFileError for a missing tensor, ConfigError for one more, or of another shape, than expected."""
     require_keys(tensors, expected)
+    for key in tensors:
+        if key not in expected:
+            raise ConfigError(
+                f"checkpoint of another model: this configuration has no {key}; use the configuration that the session "
+                "was recorded with"
+            )
     for key, tensor in expected.items():
         if tensors[key].shape != tensor.shape:
             raise ConfigError(

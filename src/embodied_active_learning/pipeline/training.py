@@ -25,14 +25,14 @@ from embodied_active_learning.model.learner import Learner, UpdateReport
 from embodied_active_learning.model.learner_state import LearnerState, network_weights
 from embodied_active_learning.model.loss import LossFunction
 from embodied_active_learning.objects.stability import StopCheck
+from embodied_active_learning.pipeline.run_checkpoints import RunCheckpoints
 from embodied_active_learning.pipeline.stopping import EarlyStop
 from embodied_active_learning.session.atomic import remove_file
-from embodied_active_learning.session.checkpoints import load_latest, save_checkpoint, save_model
+from embodied_active_learning.session.checkpoints import save_model
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import Table
 
 LOG = logging.getLogger(__name__)
-ROLLBACKS = 3  # at one update, before training fails
 
 
 class TrainingRun:
@@ -56,14 +56,11 @@ class TrainingRun:
             self._stop = threading.Event()
             self._save_requested = False
             self._saved: Optional[Path] = None
-            self._checkpointed: Optional[Tuple[Tuple[int, ...], Path]] = None  # content, path
+            self._checkpoints = RunCheckpoints(self._session.paths, config.training.checkpoints_kept)
             self._complete = False
-            self._diverged_at, self._rollbacks_there = 0, 0
             self._early_stop = EarlyStop(config) if config.may_stop_early else None
             self._restore()
             self._refreshed = self._learner.replicas.updates  # updates of the newest replica
-            # For a rollback before the first checkpoint.
-            self._initial = None if self._learner.updates else self._learner.state_dict()
             several = config.training.trainers > 1
             used = {"training": True, "evaluation": True, "stopping": config.may_stop_early, "rounds": several}
             self._tables = {name: self._open_table(name) for name in used if used[name]}
@@ -243,17 +240,11 @@ class TrainingRun:
         return table
 
     def _restore(self) -> None:
-        checkpoint = load_latest(self._session.paths.checkpoints)
+        """Continue from the newest checkpoint, if there is one."""
+        checkpoint = self._checkpoints.load(self.observations)
         if checkpoint is None:
+            self._checkpoints.keep_initial(self._learner)
             return
-        for reason in checkpoint.refused:
-            LOG.warning("checkpoint skipped, using an older one: %s", reason)
-        observed = checkpoint.observations
-        if observed > self.observations:
-            raise CorruptFileError(
-                f"observations missing: {self._session.paths.observations} holds {self.observations}, but "
-                f"{checkpoint.path.name} was trained on {observed}; restore the file or start a new session"
-            )
         try:
             self._learner.load_state_dict(LearnerState(checkpoint.tensors, checkpoint.counters))
             self._restore_early_stop(checkpoint.counters)
@@ -347,18 +338,10 @@ class TrainingRun:
 
     def _rollback(self, error: DivergenceError) -> None:
         """Continue from the last good model with other batches. Raises the error after ROLLBACKS attempts."""
-        progressed = self.updates > self._diverged_at
-        self._diverged_at = max(self._diverged_at, self.updates)
-        self._rollbacks_there = 1 if progressed else self._rollbacks_there + 1
-        if self._rollbacks_there > ROLLBACKS:
-            raise DivergenceError(f"{error} ({ROLLBACKS} rollbacks to the last good checkpoint have not helped)")
-        checkpoint = load_latest(self._session.paths.checkpoints)
-        good = self._initial if checkpoint is None else LearnerState(checkpoint.tensors, checkpoint.counters)
-        if good is None:
-            raise DivergenceError(f"{error} (no checkpoint to return to)")
+        good = self._checkpoints.last_good(self.updates, error)
         self._learner.rollback(good)
         self._refreshed = self._learner.replicas.updates
-        self._restore_early_stop({} if checkpoint is None else checkpoint.counters)
+        self._restore_early_stop(good.counters)
         for table in self._tables.values():
             table.truncate_after("update", self.updates)
         LOG.warning("%s; rollback to the model of update %d", error, self.updates)
@@ -400,21 +383,5 @@ class TrainingRun:
 
     def _checkpoint(self) -> Path:
         """Write a checkpoint of the current state, unless it exists already, and return its path."""
-        content = self.updates, self.skipped, self.rollbacks, self._refreshed, self.observations
-        if self._checkpointed is not None:
-            stored, path = self._checkpointed
-            if stored == content and path.exists():
-                return path
-        tensors, counters = state = self._learner.state_dict()
-        invalid = state.non_finite()
-        if invalid is not None:
-            raise DivergenceError(
-                f"training diverged: {invalid} is not finite at update {self.updates}; lower training/learning_rate"
-            )
-        if self._early_stop is not None:
-            counters["early_stop"] = self._early_stop.state_dict()
-        folder, kept = self._session.paths.checkpoints, self._config.training.checkpoints_kept
-        path = save_checkpoint(folder, self.updates, self.observations, tensors, counters, kept)
-        self._checkpointed = content, path
-        self._initial = None
-        return path
+        more = {} if self._early_stop is None else {"early_stop": self._early_stop.state_dict()}
+        return self._checkpoints.write(self._learner, self._refreshed, self.observations, more)
