@@ -161,7 +161,7 @@ class DeadPlannerTest(unittest.TestCase):
         self.assertTrue(pause().success)
         self.assertTrue(self.stop().success)
         self.wait_for(lambda: rospy.get_param("/ergodic_planner/paused_by", ""), "the pause was not stored")
-        self.wait_for(lambda: rospy.get_param("/pybullet_arm/stopped_by", ""), "the stop was not stored")
+        self.wait_for(lambda: rospy.get_param("/arm/stopped_by", ""), "the stop was not stored")
         observed = self.observed
         self.planner.kill()
         self.arm.kill()

@@ -255,7 +255,7 @@ class PlannerFaultsTest(unittest.TestCase):
         self.assertEqual((response.success, response.message), (True, message))
         self.assertEqual(self.arm.last_call, "stop")
         commands = len(self.arm.commands)
-        self.wait_for(lambda: self.health["planner"].message == PAUSED, "the planner did not pause")
+        self.wait_for(lambda: self.health["planner"].message.startswith(PAUSED), "the planner did not pause")
         threading.Event().wait(1.0)
         self.assertEqual((len(self.arm.commands), self.arm.last_call), (commands, "stop"))
 

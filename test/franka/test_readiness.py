@@ -231,6 +231,17 @@ def test_reflex_before_first_ready_holds_robot():
     assert "in a reflex (cartesian_reflex) before this node moved it" in robot.explanation
 
 
+@pytest.mark.parametrize(
+    "others", [{"controllers": {"pose": Controller("running", True)}}, {"publishers": ("/marker",)}]
+)
+def test_reflex_while_others_moved_holds_robot(others):
+    """A recovery would restart the motion of the others."""
+    robot = Robot()
+    assert robot.reports(REFLEX, **others) is Condition.RECOVERY_REQUIRED
+    assert robot.reports(REFLEX, after=60.0, **others) is Condition.RECOVERY_REQUIRED
+    assert "moved it" in robot.explanation
+
+
 def test_no_preparation_while_another_controller_is_active():
     robot = Robot(ready=False)
     assert robot.reports(controllers={"pose": Controller("running", True)}) is Condition.OTHER_CONTROLLER

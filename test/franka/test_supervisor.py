@@ -175,7 +175,8 @@ def test_publishers_are_kept_while_master_is_down(monkeypatch, error):
     topic = rospy.resolve_name(names.FRANKA_SET_POINT)
     interface = SimpleNamespace(_other_publishers=[])
     responses = [lambda: (1, "", ([[topic, ["/rival", rospy.get_name()]]], [], []))]
-    monkeypatch.setattr(rospy, "get_master", lambda: SimpleNamespace(getSystemState=responses[-1]))
+    system = SimpleNamespace(getSystemState=lambda caller: responses[-1]())
+    monkeypatch.setattr("embodied_active_learning.ros.arm.franka_interface.master_proxy", lambda: system)
     assert FrankaInterface.other_publishers(interface) == ["/rival"]
 
     def refuse():
@@ -298,14 +299,14 @@ def test_error_that_persists_is_reported_with_remedy(lab):
         lab.supervisor.recover()
 
 
-def test_controller_is_not_started_beside_another_one(lab):
+def test_robot_is_not_recovered_beside_another_controller(lab):
     prepared(lab)
     lab.interface.running = {"other": Controller("running", True)}
     lab.interface.errors, lab.interface.recovers = ERROR, [False]
     lab.passes()
-    with pytest.raises(RobotError, match="stop other, then call /arm/recover"):
+    with pytest.raises(RobotError, match="other may move the robot"):
         lab.supervisor.recover()
-    assert lab.interface.calls == ["recover"]
+    assert lab.interface.calls == []
 
 
 def test_recovery_during_user_stop_is_rejected(lab):

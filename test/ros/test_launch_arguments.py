@@ -46,6 +46,7 @@ def test_unset_argument_is_empty(value, expected):
     [
         ("franka", "all", "", "robot_ip is missing"),
         ("franka", "all", "172.16.0.2", "robot_profile is missing"),
+        ("velocity_service", "all", "", "robot_profile is missing"),
         ("franka", "some", "172.16.0.2", "expected one of all, nodes, none"),
         ("recording", "all", "", "use replay.launch"),
     ],
@@ -75,7 +76,7 @@ def test_robot_with_an_arm_is_accepted(changes):
 
 @pytest.mark.parametrize(
     ("robot", "bringup"),
-    [("pybullet", "all"), ("franka", "nodes"), ("velocity_service", "all"), ("recording", "none")],
+    [("pybullet", "all"), ("franka", "nodes"), ("velocity_service", "nodes"), ("recording", "none")],
 )
 def test_address_is_required_only_to_connect(robot, bringup):
     check_bringup(resolved(robot), bringup, "")

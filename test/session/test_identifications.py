@@ -71,3 +71,10 @@ def test_failed_rename_restores_previous_folder(tmp_path, monkeypatch):
     with pytest.raises(SessionError, match="results cannot be written"), atomic.replace_folder(folder) as new:
         (new / "new").touch()
     assert [path.name for path in tmp_path.rglob("*")] == ["results", "old"]
+
+
+def test_tables_have_headers_also_without_rows(session):
+    folder = session.paths.identification / "first"
+    save_again(session)
+    assert (folder / "unknown.csv").read_text().splitlines()[0] == "x,y,area"
+    assert (folder / "decisions.csv").read_text().startswith("session,fingerprint,")

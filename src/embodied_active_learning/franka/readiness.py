@@ -26,8 +26,9 @@ class Readiness:
     """State machine over the robot's reports: its condition, and whether to prepare or recover the robot now.
 
     Reflexes are recovered from automatically up to franka/recoveries times in a row, with growing pauses. The robot is
-    held until `release` after a user stop, after guiding by hand, once the recoveries are used up, and if it was in a
-    reflex before it was ever ready: a person has to confirm that it may move.
+    held until `release` after a user stop, after guiding by hand, once the recoveries are used up, if it was in a
+    reflex before it was ever ready, and if another controller or node may have moved it into the reflex: a person has
+    to confirm that it may move.
     """
 
     def __init__(self, config: FrankaConfig, clock: Callable[[], float]) -> None:
@@ -210,6 +211,8 @@ class Readiness:
         errors = self._report.error_names
         if not self._was_ready:
             self._reflex_hold = f"the robot was in a reflex ({errors}) before this node moved it"
+        elif self._report.others:  # a recovery would restart their motion
+            self._reflex_hold = f"robot reflex ({errors}) while {', '.join(self._report.others)} moved it"
         elif self._consecutive_recoveries >= self._config.recoveries:
             last = f"; last recovery: {self._recovery_error}" if self._recovery_error else ""
             self._reflex_hold = (

@@ -97,3 +97,8 @@ class Report(NamedTuple):
     def other_controllers(self) -> Tuple[str, ...]:
         """Names of active controllers other than ours."""
         return tuple(name for name, one in (self.controllers or {}).items() if one.is_active and name != CONTROLLER)
+
+    @property
+    def others(self) -> Tuple[str, ...]:
+        """Names of what else may move the robot: other active controllers, and nodes that publish set-points."""
+        return (*self.other_controllers, *self.publishers)

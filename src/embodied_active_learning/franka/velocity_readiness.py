@@ -12,7 +12,6 @@ STOPPED_ERROR = "the velocity service reports success: false"
 _FIXED = {
     Condition.READY: "",
     Condition.NO_STATE: "no pose of the robot received yet: is its velocity controller's node running?",
-    Condition.STARTING: "the robot was released and has not reported success yet",
 }
 
 

@@ -80,7 +80,7 @@ def check_bringup(
 ) -> None:
     """Check the launch arguments about starting the arm. Raises ConfigError.
 
-    A new session whose launch connects to a Panda needs a robot profile: the shipped one has the table at the height of
+    A new session whose launch moves a real arm needs a robot profile: the shipped one has the table at the height of
     the base and no camera mount. bringups: values of bringup that the launch file takes.
     """
     if bringup not in bringups:
@@ -92,7 +92,7 @@ def check_bringup(
             "robot_ip is missing: give the address of the Panda's controller, such as robot_ip:=172.16.0.2, or "
             "bringup:=nodes if franka_ros and the camera driver are running"
         )
-    if config.arm.robot == FRANKA and bringup == "all" and not (robot_profile or config.session.resume):
+    if config.arm.robot in REAL_ROBOTS and bringup == "all" and not (robot_profile or config.session.resume):
         raise ConfigError(
             "robot_profile is missing: copy config/franka.yaml, enter the height of your table and the mount of your "
             "camera (docs/panda.md), and give robot_profile:=YOUR_FILE.yaml"

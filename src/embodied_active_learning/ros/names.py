@@ -84,9 +84,10 @@ FAILURE_PARAMETER = "failure"
 TRAINER_ADDRESS = "trainer/address"
 # The planner's PAUSED_BY, as other nodes read it.
 PLANNER_PAUSED_BY = "ergodic_planner/paused_by"
-# Persistent parameters: state of a node across its restarts; launch files clear them.
-STOPPED_BY = "~stopped_by"
-HELD_FOR = "~held_for"
+# Persistent parameters: state of a node across its restarts. Launch files clear them, except those of a real arm: a
+# person's stop outlasts a new launch on the same master.
+STOPPED_BY = "arm/stopped_by"
+HELD_FOR = "arm/held_for"
 PAUSED_BY = "~paused_by"
 HAS_PAUSED_PLANNER = "~has_paused_planner"
 

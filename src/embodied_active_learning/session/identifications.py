@@ -34,6 +34,7 @@ UNKNOWN_FILE = "unknown.csv"
 BELIEFS_FILE = "beliefs.safetensors"
 TRACE_FILE = "trace.safetensors"
 _POSE = ("x", "y", "theta")
+_UNKNOWN_COLUMNS = ("x", "y", "area")
 _READER = FileReader(CorruptFileError, "identify again")
 _ARRAYS_READER = dataclasses.replace(_READER, limit=ARRAY_READER.limit)
 
@@ -107,8 +108,8 @@ def save_identification(
     with replace_folder(folder) as temporary:
         write_finite_arrays(temporary / BELIEFS_FILE, "beliefs", _beliefs(identification), facts)
         write_finite_arrays(temporary / TRACE_FILE, "trace", _trace(identification), facts)
-        write_text(temporary / TABLE_FILE, _table(rows))
-        write_text(temporary / UNKNOWN_FILE, _table([_plain_unknown(item) for item in unknown]))
+        write_text(temporary / TABLE_FILE, _table([field.name for field in dataclasses.fields(_Row)], rows))
+        write_text(temporary / UNKNOWN_FILE, _table(_UNKNOWN_COLUMNS, [_plain_unknown(item) for item in unknown]))
         write_text(temporary / DECISIONS_FILE, text)
     return folder
 
@@ -185,10 +186,10 @@ def _decision(subject: str, row: Any) -> Decision:
     return Decision(pose=pose, **values)
 
 
-def _table(rows: List[Dict[str, Any]]) -> str:
+def _table(columns: Sequence[str], rows: List[Dict[str, Any]]) -> str:
+    """Return rows as CSV."""
     stream = io.StringIO()
-    names = list(rows[0]) if rows else []
-    writer = csv.DictWriter(stream, names, lineterminator="\n")
+    writer = csv.DictWriter(stream, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()

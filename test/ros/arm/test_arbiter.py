@@ -215,14 +215,19 @@ def test_stop_of_free_arm_needs_recovery():
         pass
 
 
-def test_stop_by_expired_commander_needs_no_recovery():
+@pytest.mark.parametrize("released", [False, True])
+def test_stop_by_former_commander_needs_recovery(released):
+    """It is a person's, since nodes of the package stop the arm only while they control it."""
     clock = Clock()
     arbiter = commanded(clock)
-    clock.now = 5.1
+    if released:
+        with arbiter.stop(request("/ergodic_planner")):
+            pass
+    else:
+        clock.now = 5.1
     with arbiter.stop(request("/ergodic_planner")) as needs_recovery:
-        assert not needs_recovery
-    with arbiter.command(request("/fingerprinter")):
-        pass
+        assert needs_recovery
+    assert arbiter.stopped_by == "/ergodic_planner"
 
 
 def test_heartbeat_extends_control():

@@ -261,15 +261,6 @@ def test_success_resets_failure_count(arm, retrying):
     assert arm.calls[-1] == ("move", 0.1, 0.0, 0.0)
 
 
-def test_retry_pause_doubles_up_to_maximum(arm, retrying, monkeypatch):
-    waits = []
-    monkeypatch.setattr(retrying_arm, "wall_sleep", waits.append)
-    monkeypatch.setattr(retry_policy, "MAX_RETRY_PERIOD", 0.05)
-    arm.failures = [ArmFailedError("in reflex mode") for _ in range(5)]
-    retrying.execute(FORWARD)
-    assert waits == [0.01, 0.02, 0.04, 0.05, 0.05]
-
-
 @pytest.mark.parametrize("error_class", [ArmStoppedError, ArmBusyError, NoResponseError])
 def test_uncounted_failures_are_retried_forever(arm, retrying, error_class):
     arm.failures = [error_class("not now") for _ in range(20)]

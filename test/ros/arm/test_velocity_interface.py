@@ -58,7 +58,8 @@ def robot(monkeypatch):
     monkeypatch.setattr(TimedService, "_connect", connect)
     monkeypatch.setattr(rospy, "wait_for_service", lambda name, timeout: None)
     monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: None)
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: robot.step)
+    master = SimpleNamespace(getParam=lambda caller, name: (1, "", robot.step))
+    monkeypatch.setattr(velocity_interface, "master_proxy", lambda: master)
     monkeypatch.setattr(velocity_interface, "_START_TIMEOUT", 0.0)
     return robot
 

@@ -4,15 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rospy
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmNotReadyError, RobotError, ServiceError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import RobotMode
 from embodied_active_learning.franka.velocity_tracking import velocity_driver
-from embodied_active_learning.ros import names
-from embodied_active_learning.ros.arm import requested_recovery, velocity_supervisor
+from embodied_active_learning.ros.arm import requested_recovery, velocity_interface, velocity_supervisor
 from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
 
 CONFIG = Config.from_dict({"arm": {"robot": "velocity_service"}})
@@ -152,23 +150,29 @@ def test_recovery_is_rejected_while_supervisor_is_busy(lab, monkeypatch):
         lab.supervisor.recover()
 
 
+def set_step(monkeypatch, response):
+    """Make the master respond to requests for the period of the velocity controller."""
+    master = SimpleNamespace(getParam=lambda caller, name: response())
+    monkeypatch.setattr(velocity_interface, "master_proxy", lambda: master)
+
+
 @pytest.mark.parametrize("step", ["fast", None, [0.2]])
 def test_step_that_is_no_number_is_reported(monkeypatch, step):
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: step)
+    set_step(monkeypatch, lambda: (1, "", step))
     with pytest.raises(RobotError, match=r"parameter /dt is .*, not seconds"):
         VelocityInterface.start(None, 100.0)
 
 
 def test_missing_master_is_reported(monkeypatch):
-    def refuse(name, default):
+    def refuse():
         raise ConnectionRefusedError("refused")
 
-    monkeypatch.setattr(rospy, "get_param", refuse)
+    set_step(monkeypatch, refuse)
     with pytest.raises(ServiceError, match="no response from the ROS master: refused"):
         VelocityInterface.start(None, 100.0)
 
 
 def test_too_few_requests_per_step_are_rejected(monkeypatch):
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: {names.VELOCITY_STEP: 0.02}[name])
+    set_step(monkeypatch, lambda: (1, "", 0.02))
     with pytest.raises(RobotError, match=r"100 Hz gives fewer than 3 requests per step .* raise franka/rate"):
         VelocityInterface.start(None, 100.0)

@@ -67,6 +67,16 @@ def test_resume_succeeds_unless_others_pause(monkeypatch, paused_by, success, me
     assert (response.success, response.message) == (success, message)
 
 
+def test_status_names_who_paused(monkeypatch):
+    monkeypatch.setattr(pause_server.persistent_parameters, "load", lambda name: "/operator /fingerprinter")
+    monkeypatch.setattr(pause_server.persistent_parameters, "store", lambda name, text: None)
+    monkeypatch.setattr(pause_server, "name_of_caller", lambda request: "/operator")
+    shown = []
+    server = PauseServer(SimpleNamespace(pause=shown.append))
+    server.release(TriggerRequest())
+    assert [text.partition("pause by ")[2] for text in shown] == ["/fingerprinter /operator", "/fingerprinter"]
+
+
 def test_pause_requests_restored_from_text():
     requests = PauseRequests()
     requests.add("/fingerprinter")

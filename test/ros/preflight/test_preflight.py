@@ -392,12 +392,12 @@ def test_unreachable_node_is_named():
 
 
 def test_persistent_parameters_have_remedies():
-    assert levels(computer.check_persistent_parameters({"/failure": "", "/franka_arm/stopped_by": ""})) == ["OK"]
-    values = {"/failure": "/trainer: disk full", "/franka_arm/stopped_by": "an operator"}
+    assert levels(computer.check_persistent_parameters({"/failure": "", "/arm/stopped_by": ""})) == ["OK"]
+    values = {"/failure": "/trainer: disk full", "/arm/stopped_by": "an operator"}
     results = computer.check_persistent_parameters(values)
     assert levels(results) == ["WARNING", "WARNING"]
     assert "/arm/recover" in results[1].remedy
-    held = computer.check_persistent_parameters({"/franka_arm/held_for": "the user stop was pressed"})
+    held = computer.check_persistent_parameters({"/arm/held_for": "the user stop was pressed"})
     assert "/arm/recover" in held[0].remedy
 
 

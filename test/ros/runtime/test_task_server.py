@@ -13,6 +13,7 @@ from embodied_active_learning.srv import Identify
 from embodied_active_learning.errors import TaskCancelledError
 from embodied_active_learning.ros.runtime import task_server
 from embodied_active_learning.ros.runtime.exclusive_task import ExclusiveTask
+from embodied_active_learning.ros.runtime.node import ShutdownRequestedError
 from embodied_active_learning.ros.runtime.task_server import Caller, TaskProgress, TaskServer, is_connected
 
 
@@ -34,6 +35,12 @@ def test_progress_raises_when_cancelled():
     for action in (progress.check, lambda: progress.report("object-1")):
         with pytest.raises(TaskCancelledError, match="nothing was stored"):
             action()
+
+
+def test_progress_raises_when_node_ends(monkeypatch):
+    monkeypatch.setattr(task_server.rospy, "is_shutdown", lambda: True)
+    with pytest.raises(ShutdownRequestedError):
+        TaskProgress(ExclusiveTask("fingerprinting")).check()
 
 
 def test_when_cancelled_calls_back_during_block_only():

@@ -20,8 +20,8 @@ from embodied_active_learning.ros.runtime.services import name_of_caller
 class ArmArbiter:
     """Grants control of the arm to its commander until that has been silent for a timeout (wall seconds).
 
-    Any node may stop the arm. If its commander does, the arm is free at once; if another node does, commands are
-    rejected until a recovery has succeeded.
+    Any node may stop the arm. If its commander does, the arm is free at once; if another node does, also one that has
+    lost control, commands are rejected until a recovery has succeeded.
     """
 
     def __init__(self, timeout: float, clock: Callable[[], float] = time.monotonic, stopped_by: str = "") -> None:
@@ -137,7 +137,7 @@ class ArmArbiter:
         """Hold the arm while it stops -> whether it needs a recovery. The commander's own stop releases control."""
         caller = name_of_caller(request)
         with self._lock:
-            needs_recovery = caller != self._commander
+            needs_recovery = caller != self._commander or not self._is_controlled()
             if needs_recovery:
                 self._stopped_by = caller
                 self._stops += 1

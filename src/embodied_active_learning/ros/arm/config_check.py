@@ -60,7 +60,6 @@ class ConfigCheck:
 
     def update(self) -> None:
         """Compare the configurations now."""
-        before = self.mismatch
         values = rospy.get_param(names.CONFIG_PARAMETER, None)
         try:
             if values is not None:
@@ -68,5 +67,3 @@ class ConfigCheck:
             self._mismatch = None
         except CommandError as error:
             self._mismatch = error
-            if str(error) != before:
-                rospy.logerr("rejecting commands: %s", error)

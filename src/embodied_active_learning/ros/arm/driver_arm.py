@@ -21,10 +21,14 @@ from embodied_active_learning.ros.arm.server import ArmServer, MoveOutcome
 from embodied_active_learning.ros.conversions import state_message
 from embodied_active_learning.ros.runtime import persistent_parameters
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, Health
+from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
 from embodied_active_learning.ros.runtime.node import publish
+from embodied_active_learning.ros.runtime.timers import WallTimer
 
 SWITCH_INTERVAL = 0.001
 """s between switches of Python threads: the thread that sends must not wait for a service's thread."""
+_LOG_CHECK_PERIOD = 1.0
+"""Wall seconds between two checks whether commands are rejected, for the log; shorter interruptions are not logged."""
 
 
 class DriverArm(ArmServer):
@@ -46,6 +50,7 @@ class DriverArm(ArmServer):
             readiness.hold(persistent_parameters.load(names.HELD_FOR))
         persistent_parameters.store(names.HELD_FOR, self._held_for)
         self._config_check = ConfigCheck(config)
+        self._throttle = LogThrottle()
         self._rate = config.franka.rate
         self._states = rospy.Publisher(names.ARM_STATE, PlanarState, queue_size=10, tcp_nodelay=True)
 
@@ -59,6 +64,7 @@ class DriverArm(ArmServer):
         sys.setswitchinterval(SWITCH_INTERVAL)
         rospy.on_shutdown(self.close)  # the robot can still be reached then
         self._loop = RateLoop(self._rate, self.send)
+        WallTimer(_LOG_CHECK_PERIOD, self._log_rejection)
         self.advertise_services()
 
     @abstractmethod
@@ -128,9 +134,18 @@ class DriverArm(ArmServer):
 
     def arm_health(self) -> Health:
         """See ArmServer."""
-        values = self.values()
+        values, rejection = self.values(), self._rejection()
+        return Health(ERROR, rejection, values) if rejection else Health(message="ready", values=values)
+
+    def _rejection(self) -> str:
+        """Return why commands are rejected; empty if they are not."""
         why = self._driver.why_not_ready() or self._config_check.mismatch
-        return Health(ERROR, f"rejecting commands: {why}", values) if why else Health(message="ready", values=values)
+        return f"rejecting commands: {why}" if why else ""
+
+    def _log_rejection(self) -> None:
+        rejection = self._rejection()
+        if rejection and self._throttle.should_log(rejection):
+            rospy.logwarn("%s", rejection)
 
     def values(self) -> Dict[str, object]:
         """Return the figures for diagnostics."""

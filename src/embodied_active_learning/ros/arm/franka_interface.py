@@ -23,7 +23,7 @@ from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller
 from embodied_active_learning.geometry import quaternion
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.runtime.master import CALL_ERRORS
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS, master_proxy
 from embodied_active_learning.ros.runtime.services import is_advertised, log_service_wait
 from embodied_active_learning.ros.runtime.timed_service import call_within
 
@@ -68,7 +68,7 @@ class FrankaInterface:
         """Return the names of other nodes that publish set-points, as last known to the master."""
         topic = rospy.resolve_name(names.FRANKA_SET_POINT)
         try:
-            _, _, (publishers, _, _) = rospy.get_master().getSystemState()
+            _, _, (publishers, _, _) = master_proxy().getSystemState(rospy.get_name())
         except CALL_ERRORS as error:
             # Connections outlive the master: those that were known may still send.
             rospy.logdebug("no response from the ROS master: %s", error)

@@ -41,7 +41,6 @@ class FrankaSupervisor:
         self._lock = threading.Lock()  # held by the thread that makes the robot do something
         self._controllers_at = -CONTROLLERS_PERIOD
         WallTimer(PERIOD, self.check)
-        threading.Thread(target=self._log_why_not_ready, daemon=True).start()
 
     def check(self) -> None:
         """Update the controllers periodically; prepare or recover the robot when it is time to."""
@@ -110,15 +109,13 @@ class FrankaSupervisor:
         franka_control from 0.10.2 on recovers only from errors that have ended a motion of its own. It ignores one from
         before its start until a controller is started and its motion is rejected.
         """
+        self._require_no_others()
         self._recover_on_request()
         if not self._has_error():
             return False
-        controllers = self._interface.controllers()
-        others = [name for name, one in controllers.items() if one.is_active and name != CONTROLLER]
-        if others:
-            raise RobotError(f"the robot still reports its error: stop {', '.join(others)}, then call /arm/recover")
+        self._require_no_others()
         rospy.logwarn("the robot still reports its error: starting %s so that franka_control notices it", CONTROLLER)
-        ours = controllers.get(CONTROLLER)
+        ours = self._interface.controllers().get(CONTROLLER)
         self._reject_commands()
         if ours is None:
             self._interface.load()
@@ -133,6 +130,14 @@ class FrankaSupervisor:
                 "unlock the joints in Desk, then call /arm/recover"
             )
         return True
+
+    def _require_no_others(self) -> None:
+        """Raise RobotError if others may move the robot: a recovery would restart their motion."""
+        self.update_controllers()
+        with self._driver.readiness() as readiness:
+            others = readiness.report.others
+        if others:
+            raise RobotError(f"{', '.join(others)} may move the robot: stop what it is, then call /arm/recover")
 
     def _recover_on_request(self) -> None:
         self._recover()
@@ -226,20 +231,6 @@ class FrankaSupervisor:
             with self._driver.readiness() as readiness:
                 readiness.end_recovery(failure)
             self.update_controllers()
-
-    def _log_why_not_ready(self) -> None:
-        """Log what the robot waits for, as long as it is not ready."""
-        while not rospy.is_shutdown():
-            time.sleep(PERIOD)
-            if not self._driver.why_not_ready():
-                continue
-            with log_wait(self._describe_wait, delay=1.0):
-                while self._driver.why_not_ready() and not rospy.is_shutdown():
-                    time.sleep(PERIOD)
-
-    def _describe_wait(self) -> str:
-        why = self._driver.why_not_ready()
-        return f"the robot: {why}" if why else ""
 
 
 def _wait_until(condition: Callable[[], bool]) -> bool:

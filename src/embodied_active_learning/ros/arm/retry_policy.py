@@ -33,7 +33,10 @@ class RetryPolicy:
     """Counts consecutive failures. Raises the error once retries or timeout are used up."""
 
     def __init__(self, retries: int, timeout: Optional[float] = None) -> None:
-        """Allow `retries` consecutive counted failures, and `timeout` wall seconds per call; None waits forever."""
+        """Allow `retries` consecutive counted failures, and `timeout` wall seconds from the first failure of a call.
+
+        None waits forever.
+        """
         self._retries = retries
         self._timeout = math.inf if timeout is None else timeout
         self._deadline = math.inf
@@ -41,9 +44,9 @@ class RetryPolicy:
         self._cancelled = False
 
     def begin_call(self) -> None:
-        """Start the timeout of a call."""
+        """Start a call. Its timeout starts with its first failure: a long command is none."""
         self._cancelled = False
-        self._deadline = time.monotonic() + self._timeout
+        self._deadline = math.inf
 
     def cancel(self) -> None:
         """Retry nothing until the next call begins."""
@@ -66,6 +69,8 @@ class RetryPolicy:
                 raise type(error)(f"{error} (gave up after {attempt} attempts)") from error
             pause = min(RETRY_PERIOD * 2 ** (attempt - 1), MAX_RETRY_PERIOD)
             message += f" (attempt {attempt} of {self._retries + 1}, next in {pause:g} s)"
+        if math.isinf(self._deadline):
+            self._deadline = time.monotonic() + self._timeout
         remaining = self._deadline - time.monotonic()
         if remaining <= 0.0:
             self._failures = 0

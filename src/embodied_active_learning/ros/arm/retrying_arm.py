@@ -26,7 +26,7 @@ from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros.arm.client import ArmClient
 from embodied_active_learning.ros.arm.lease import Lease
 from embodied_active_learning.ros.arm.restore_point import RestorePoint
-from embodied_active_learning.ros.arm.retry_policy import RetryPolicy
+from embodied_active_learning.ros.arm.retry_policy import RETRY_PERIOD, RetryPolicy
 from embodied_active_learning.ros.camera.posed_camera import PosedCamera
 from embodied_active_learning.ros.conversions import state_arrays
 from embodied_active_learning.ros.runtime.diagnostics import ERROR, WARN, Health
@@ -318,6 +318,8 @@ class RetryingArm:
         if not self._error:
             self._throttle.reset()
         self._error = due.message
-        wall_sleep(due.pause)  # before the log: when all nodes are ended, the arm often ends first
+        delay = min(due.pause, RETRY_PERIOD)
+        wall_sleep(delay)  # before the log: when all nodes are ended, the arm often ends first
         if self._throttle.should_log(due.message):
             rospy.logwarn("arm held still: %s", due.message)
+        wall_sleep(due.pause - delay)

@@ -14,7 +14,7 @@ from embodied_active_learning.errors import RobotError, ServiceError
 from embodied_active_learning.franka.velocity_tracking import REST
 from embodied_active_learning.franka.velocity_tracking import Twist as EndEffectorTwist
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.runtime.master import CALL_ERRORS
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS, master_proxy
 from embodied_active_learning.ros.runtime.timed_service import TimedService, call_within
 from embodied_active_learning.srv import (
     StartVelocityControl,
@@ -102,12 +102,14 @@ def _remedy() -> Iterator[None]:
 
 def _controller_step() -> float:
     """Return the period [s] of the robot's velocity controller; infinite if it is unknown."""
+    name = rospy.resolve_name(names.VELOCITY_STEP)
     try:
-        value = rospy.get_param(names.VELOCITY_STEP, math.inf)
+        code, _, value = master_proxy().getParam(rospy.get_name(), name)
     except CALL_ERRORS as error:
         raise ServiceError(f"no response from the ROS master: {error}") from error
+    if code != 1:  # not set
+        return math.inf
     try:
         return float(value)
     except (TypeError, ValueError) as error:
-        name = rospy.resolve_name(names.VELOCITY_STEP)
         raise RobotError(f"parameter {name} is {value!r}, not seconds: correct it, then call /arm/recover") from error

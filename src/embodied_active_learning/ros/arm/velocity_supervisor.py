@@ -11,7 +11,6 @@ from embodied_active_learning.errors import ArmNotReadyError, RobotError, Servic
 from embodied_active_learning.franka.set_point_driver import SetPointDriver
 from embodied_active_learning.ros.arm.requested_recovery import requested_recovery
 from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
-from embodied_active_learning.ros.runtime.log_throttle import LogThrottle
 from embodied_active_learning.ros.runtime.timers import WallTimer
 
 PERIOD = 0.2
@@ -27,19 +26,15 @@ class VelocitySupervisor:
         self._driver = driver
         self._config = config
         self._lock = threading.Lock()  # held by the thread that makes the robot do something
-        self._throttle = LogThrottle()
         WallTimer(PERIOD, self.check)
 
     def check(self) -> None:
-        """Start the controller once it can be; log what prevents the arm from moving."""
+        """Start the controller once it can be."""
         with self._lock:
             with self._driver.readiness() as readiness:
                 is_due = readiness.needs_preparation
             if is_due:
                 self._try_start()
-        reason = self._driver.why_not_ready()
-        if reason and self._throttle.should_log(reason):
-            rospy.logwarn("the arm cannot be moved: %s", reason)
 
     def recover(self) -> None:
         """Make the robot ready at the request of a person who has checked it; if that fails, hold it.

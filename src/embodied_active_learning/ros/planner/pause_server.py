@@ -109,8 +109,12 @@ class PauseServer:
             if end(name_of_caller(request)):
                 self._arm.resume()
                 return TriggerResponse(True, "exploring")
-        others = self._requests.text
+            others = self._requests.text
+            if others:
+                self._hold_back()
         return TriggerResponse(not others, f"still paused by {others}" if others else "was not paused")
 
     def _hold_back(self) -> None:
-        self._arm.pause(f"a call of {rospy.resolve_name(names.PLANNER_RESUME)}")
+        """Pause the arm; the names are shown because a pause by a task must not be resumed by a person."""
+        resume = rospy.resolve_name(names.PLANNER_RESUME)
+        self._arm.pause(f"a call of {resume}, or the end of the pause by {self._requests.text}")

@@ -42,12 +42,12 @@ except ModuleNotFoundError as missing:
 SERVICES = (names.ARM_MOVE, names.ARM_GO_TO, names.ARM_HEARTBEAT, names.ARM_STOP, names.ARM_RECOVER)
 PARAMETERS = (
     names.FAILURE_PARAMETER,
-    *(f"{arm.node}/stopped_by" for arm in ARMS.values()),
-    *(f"{ARMS[robot].node}/held_for" for robot in REAL_ROBOTS),
+    names.STOPPED_BY,
+    names.HELD_FOR,
     names.PLANNER_PAUSED_BY,
     "fingerprinter/has_paused_planner",
 )
-"""Persistent parameters, which launch files clear."""
+"""Persistent parameters."""
 
 
 class System:

@@ -27,6 +27,11 @@ def server_proxy(uri: str) -> Any:
     return ServerProxy(uri, transport=_TimeoutTransport())
 
 
+def master_proxy() -> Any:
+    """Return an XML-RPC proxy of the ROS master whose calls have a timeout, unlike rospy's. They raise CALL_ERRORS."""
+    return server_proxy(rosgraph.get_master_uri())
+
+
 def connection_error(uri: str) -> str:
     """Return why the XML-RPC server of a master or node does not respond; empty if it does."""
     try:

@@ -54,7 +54,9 @@ class TaskProgress:
         self.check()
 
     def check(self) -> None:
-        """Raise TaskCancelledError if the task was cancelled."""
+        """Raise TaskCancelledError if the task was cancelled, and ShutdownRequestedError if the node ends."""
+        if rospy.is_shutdown():
+            raise ShutdownRequestedError
         if self._is_cancelled():
             raise TaskCancelledError("cancelled by the caller: nothing was stored")
 
