@@ -125,7 +125,7 @@ def test_waiting_command_is_rejected_after_stop():
         with arbiter.stop(request("/operator")):
             pass
 
-    with arbiter.expired():  # the arm brakes
+    with arbiter.hold_for_silent_commander():  # the arm brakes
         threads = [in_a_thread(command)]
         wait_for(lambda: arbiter.commander == "/ergodic_planner")
         threads.append(in_a_thread(stop))
@@ -263,7 +263,7 @@ def test_heartbeat_of_stopped_arm_is_rejected():
 
 
 def expired(arbiter):
-    with arbiter.expired() as commander:
+    with arbiter.hold_for_silent_commander() as commander:
         return commander
 
 

@@ -111,11 +111,11 @@ class ArmArbiter:
         return replace(arm, values=values)
 
     @contextmanager
-    def expired(self) -> Iterator[str]:
-        """Hold the arm while braking for a commander that fell silent without releasing it.
+    def hold_for_silent_commander(self) -> Iterator[str]:
+        """Hold the arm while it brakes, if its commander has fallen silent without releasing it.
 
         Yields:
-            Its name, once; empty if no commander has fallen silent.
+            The name of the silent commander, once; otherwise empty, and there is nothing to do.
         """
         with self._motion_lock:
             with self._lock:

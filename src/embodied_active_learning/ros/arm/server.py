@@ -104,7 +104,7 @@ class ArmServer(ABC):
 
     def brake_if_commander_silent(self) -> None:
         """Stop and free the arm once its commander has sent no heartbeat for arm/commander_timeout."""
-        with self.arbiter.expired() as commander:
+        with self.arbiter.hold_for_silent_commander() as commander:
             if not commander:
                 return
             rospy.logwarn("no heartbeat from %s: the arm is stopped and free for other nodes", commander)
