@@ -104,7 +104,8 @@ def save(figure: Figure, path: Path, pdf: bool = False) -> Path:
     make_folder(path.parent)
     write_bytes(path, _encode(figure, "png", pil_kwargs={"compress_level": _COMPRESSION}))
     if pdf:
-        write_bytes(path.with_suffix(".pdf"), _encode(figure, "pdf"))
+        # Without a date: the same figure gives the same file.
+        write_bytes(path.with_suffix(".pdf"), _encode(figure, "pdf", metadata={"CreationDate": None}))
     return path
 
 
