@@ -17,7 +17,7 @@ from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import Session
-from launching import ROOT, environment, processes_of, started
+from launching import ROOT, environment, is_finished, processes_of, started
 
 EVERYTHING = "everything"
 INTERRUPTION = "interrupt"
@@ -87,12 +87,6 @@ def outcome(path: Path) -> Dict[str, bytes]:
     weights, _ = load_model(SessionPaths(path).model)
     tables = {name: (path / name).read_bytes() for name in TABLES}
     return {**tables, **{name: tensor.numpy().tobytes() for name, tensor in weights.items()}}
-
-
-def is_finished(path: Path) -> bool:
-    """Return whether a session has all files of a complete run."""
-    check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", path]
-    return subprocess.run(check, check=False, capture_output=True).returncode == 0
 
 
 def crash(
