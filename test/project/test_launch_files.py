@@ -112,7 +112,7 @@ def lab(tmp_path, monkeypatch):
     monkeypatch.setattr(substitution_args, "_rospack", None)  # it remembers the packages that it found
 
 
-def test_robot_launch_starts_controller_camera_and_no_other_commander(lab):
+def test_robot_launch_starts_driver_and_camera_only(lab):
     options = ("exposure:=100", "video_device:=/dev/video3")
     config = load("robot", "robot_ip:=172.16.0.2", "robot_profile:=franka", *options)
     names = {f"{node.namespace}{node.name}" for node in config.nodes}

@@ -46,7 +46,7 @@ def test_process_without_roslaunch_is_not_checked():
     check_launch_arguments()
 
 
-def test_roslaunch_refuses_unknown_arguments_and_accepts_an_apostrophe(tmp_path):
+def test_unknown_argument_refused_and_apostrophe_accepted(tmp_path):
     """Dumping parameters parses the launch file like a run does, without a master."""
     root = tmp_path / "o'neill"
     root.mkdir()
