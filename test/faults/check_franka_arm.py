@@ -22,7 +22,7 @@ from embodied_active_learning.workspace import Workspace
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-from fake_franka.generate import DEFAULT_FOLDER, generate
+from fake_franka.generate import DEFAULT_FOLDER, use_messages
 from node_process import NodeProcess
 from threads import in_a_thread, wait_for
 
@@ -51,8 +51,7 @@ class Move:
 class FrankaArmTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        generate(DEFAULT_FOLDER)
-        sys.path.append(str(DEFAULT_FOLDER))
+        use_messages()
         os.environ["PYTHONPATH"] = f"{os.environ['PYTHONPATH']}:{DEFAULT_FOLDER}"
         cls.config = Config.from_dict(rospy.get_param("/config"))
         cls.states, cls.health = [], {}

@@ -90,11 +90,11 @@ class PyBulletArmTest(unittest.TestCase):
         reached = self.move(0.1, 0.0, 0.0, 0.2).state
         at_rest = threading.Event()
 
-        def look(state):
+        def on_state(state):
             if state.header.stamp > reached.header.stamp and np.all(np.abs(state_arrays(state)[1]) < 1e-3):
                 at_rest.set()
 
-        subscriber = rospy.Subscriber("arm/state", PlanarState, look)
+        subscriber = rospy.Subscriber("arm/state", PlanarState, on_state)
         self.assertTrue(at_rest.wait(TIMEOUT), "it still moves")
         subscriber.unregister()
         self.assertIn("no node controls the arm", self.heartbeat().message)
