@@ -1,13 +1,12 @@
 #!/usr/bin/env python3
 """The planner with a faulty arm or camera: it holds the arm still, reports why, stores nothing wrong, and resumes."""
 
-import sys
 import threading
 import unittest
-from pathlib import Path
 
 import numpy as np
 import rospy
+import search_path  # noqa: F401  for the helpers below
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from embodied_active_learning.msg import ArmCause, Observation, PlanarState
 from embodied_active_learning.srv import GoToPose, GoToPoseResponse, MoveArm, MoveArmResponse
@@ -16,9 +15,6 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 import rostest
 from embodied_active_learning.ros.conversions import image_array, image_message, state_arrays, state_message
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from node_process import NodeProcess
 from threads import wait_for
 

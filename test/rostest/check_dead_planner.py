@@ -1,13 +1,12 @@
 #!/usr/bin/env python3
 """The arm stops if its commander dies or hangs, or if an operator stops it."""
 
-import sys
 import threading
 import unittest
-from pathlib import Path
 
 import numpy as np
 import rospy
+import search_path  # noqa: F401  for the helpers below
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from embodied_active_learning.msg import ArmCause, Observation, PlanarState
 from embodied_active_learning.srv import MoveArm
@@ -16,9 +15,6 @@ from std_srvs.srv import Trigger
 import rostest
 from embodied_active_learning.config import Config
 from embodied_active_learning.ros.conversions import state_arrays
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from node_process import NodeProcess, frozen_node
 from threads import wait_for
 

@@ -3,12 +3,11 @@
 
 import json
 import os
-import sys
 import unittest
-from pathlib import Path
 
 import numpy as np
 import rospy
+import search_path  # noqa: F401  for the helpers below
 from diagnostic_msgs.msg import DiagnosticArray
 from embodied_active_learning.msg import ArmCause, PlanarState
 from embodied_active_learning.srv import GoToPose, MoveArm
@@ -18,10 +17,6 @@ from std_srvs.srv import SetBool, Trigger
 import rostest
 from embodied_active_learning.config import Config
 from embodied_active_learning.workspace import Workspace
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from fake_franka.generate import DEFAULT_FOLDER, use_messages
 from node_process import NodeProcess
 from threads import in_a_thread, wait_for

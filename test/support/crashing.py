@@ -4,14 +4,10 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Callable, Dict, Iterator, List, NamedTuple
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.observations import DATA_FILE
@@ -23,7 +19,7 @@ EVERYTHING = "everything"
 INTERRUPTION = "interrupt"
 FREEZE = "frozen planner"
 TABLES = ("exploration.csv", "training.csv", "evaluation.csv")
-PROFILE = ROOT / "test" / "faults" / "crashes.yaml"
+PROFILE = ROOT / "test" / "system" / "crashes.yaml"
 NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
 STEPS_BETWEEN = (0, 1, 2, 4)  # steps between two kills: some come while nodes are still starting
 MAX_WAIT = 0.4  # s after these steps
