@@ -8,8 +8,8 @@ import pytest
 from fake_franka.generate import generate
 
 # Found in code that others generated from the originals: C++ of franka_msgs 0.10 (messages, and the request of
-# SetFullCollisionBehavior, from which that service's follows), JavaScript of franka_control (other
-# services, whose fields have not changed since) and of ros_control 0.19, and C# of dynamic_reconfigure 1.7.
+# SetFullCollisionBehavior, from which that service's follows), JavaScript of franka_control (the other service, whose
+# fields have not changed since) and of ros_control 0.19, and C# of dynamic_reconfigure 1.7.
 ORIGINALS = {
     "franka_msgs.msg.FrankaState": "431567d5df6caf4e4dd7385f25cb71ee",
     "franka_msgs.msg.Errors": "082e9a670c96d8bc64b53e32777458e7",
