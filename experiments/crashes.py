@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parents[1] / "test"
-sys.path[:0] = [str(TESTS), str(TESTS / "faults"), str(TESTS / "support")]
+sys.path[:0] = [str(TESTS), str(TESTS / "support")]
 
 from crashing import crash, learn_arguments, outcome  # noqa: E402  shared with the tests
 from launching import launch_to_the_end  # noqa: E402

@@ -34,7 +34,10 @@ if [ "$which" = all ]; then
     log=build/tests-unit.log
     echo "running the tests without nodes at the same time, at low priority: see $log"
     (renice -n 10 "$BASHPID" > /dev/null && run_tests unit -m "not ros" -n auto "$@") > "$log" 2>&1 &
-    run_tests nodes -m ros -n 2 "$@" || status=$?
+    # Those tests are in one folder, unless the user selects files.
+    folder=(test/system)
+    for word in "$@"; do if [ -e "${word%%::*}" ]; then folder=(); fi; done
+    run_tests nodes -m ros -n 2 "${folder[@]}" "$@" || status=$?
     if [ "$status" = 2 ]; then exit 2; fi  # interrupted, or tests that cannot be imported
     wait $! || status=$?
     cat "$log"

@@ -74,12 +74,9 @@ class Controller:
 class ControllerManager:
     """Loads, unloads and switches controllers; not thread-safe."""
 
-    def __init__(
-        self, parameters: Callable[[str], Optional[Mapping[str, Any]]], refused: Callable[[], Iterable[str]]
-    ) -> None:
-        """parameters: returns a controller's parameters; refused: returns the names that fail to initialise."""
+    def __init__(self, parameters: Callable[[str], Optional[Mapping[str, Any]]]) -> None:
+        """parameters: returns a controller's parameters."""
         self._parameters = parameters
-        self._refused = refused
         self._loaded: Dict[str, Controller] = {}
 
     @property
@@ -113,8 +110,6 @@ class ControllerManager:
         controller = Controller(name, values["type"])
         if controller.type == IMPEDANCE_TYPE:
             _check_impedance(values)
-        if name in self._refused():
-            raise ControllerError(f"Initializing controller '{name}' failed")
         self._loaded[name] = controller
         return controller
 

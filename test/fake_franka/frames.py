@@ -1,4 +1,4 @@
-"""Frames at the end of the arm as (4, 4) matrices, and the load."""
+"""Poses at the end of the arm as (4, 4) matrices, and the load. Flange and end effector are the same frame."""
 
 from __future__ import annotations
 
@@ -13,43 +13,29 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.geometry import optical_rotation
 
 ARM = "panda"
-_IDENTITY = np.eye(4).ravel().tolist()
 
 
 class Frames:
-    """Flange, nominal end effector NE, end effector EE, stiffness frame K, and the camera, fixed to the flange."""
+    """The camera, fixed to the end effector, and the load."""
 
     def __init__(self, config: Config) -> None:
-        """Read ~F_T_NE and ~NE_T_EE, column by column, and the camera mount of config."""
-        self.flange_to_nominal = from_columns(rospy.get_param("~F_T_NE", _IDENTITY))
-        self.nominal_to_ee = from_columns(rospy.get_param("~NE_T_EE", _IDENTITY))
-        self.ee_to_stiffness = np.eye(4)
+        """config: of the camera mount and the table."""
         self.load: Tuple[float, List[float], List[float]] = (0.0, [0.0] * 3, [0.0] * 9)  # kg, m, kg m^2
         self._config = config
-        mount = np.eye(4)
-        mount[:3, :3] = Rotation.from_euler("xyz", config.franka.camera_rotation).as_matrix()
-        mount[:3, 3] = config.franka.camera_position
-        self._flange_to_camera = self.flange_to_ee @ mount
-
-    @property
-    def flange_to_ee(self) -> np.ndarray:
-        """F_T_EE."""
-        return self.flange_to_nominal @ self.nominal_to_ee
-
-    def flange(self, position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
-        """Return the flange for an end effector at a position (3,) with a quaternion (4,)."""
-        return matrix_of(position, orientation) @ np.linalg.inv(self.flange_to_ee)
+        self._mount = np.eye(4)
+        self._mount[:3, :3] = Rotation.from_euler("xyz", config.franka.camera_rotation).as_matrix()
+        self._mount[:3, 3] = config.franka.camera_position
 
     def camera(self, position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:
         """Return the camera for an end effector at a position (3,) with a quaternion (4,)."""
-        return self.flange(position, orientation) @ self._flange_to_camera
+        return matrix_of(position, orientation) @ self._mount
 
     def ee_with_camera_at(self, x: float, y: float, theta: float) -> np.ndarray:
         """Return the end effector for a camera at a planar pose [m, m, rad] and its height, looking straight down."""
         camera = np.eye(4)
         camera[:3, :3] = optical_rotation(theta)
         camera[:3, 3] = x, y, self._camera_height
-        return camera @ np.linalg.inv(self._flange_to_camera) @ self.flange_to_ee
+        return camera @ np.linalg.inv(self._mount)
 
     def outside(self, position: Sequence[float], orientation: Sequence[float]) -> Tuple[float, float]:
         """Return how far the camera is outside the workspace in x or y, and off its height, m."""
@@ -60,11 +46,6 @@ class Frames:
     @property
     def _camera_height(self) -> float:
         return self._config.franka.table_height + self._config.camera.distance
-
-
-def from_columns(values: Sequence[float]) -> np.ndarray:
-    """Return the (4, 4) matrix of 16 numbers, column by column, as in franka_ros."""
-    return np.array(values, dtype=float).reshape(4, 4).T
 
 
 def matrix_of(position: Sequence[float], orientation: Sequence[float]) -> np.ndarray:

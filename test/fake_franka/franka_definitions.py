@@ -137,17 +137,11 @@ MESSAGES: Dict[str, Dict[str, str]] = {
 
 SERVICES: Dict[str, Dict[str, str]] = {
     "franka_msgs": {
-        "SetCartesianImpedance": _service("float64[6] cartesian_stiffness\n"),
-        "SetJointImpedance": _service("float64[7] joint_stiffness\n"),
-        "SetEEFrame": _service("float64[16] NE_T_EE\n"),
-        "SetKFrame": _service("float64[16] EE_T_K\n"),
         "SetLoad": _service("float64 mass\nfloat64[3] F_x_center_load\nfloat64[9] load_inertia\n"),
-        "SetForceTorqueCollisionBehavior": _service(_thresholds("nominal")),
         "SetFullCollisionBehavior": _service(_thresholds("acceleration", "nominal")),
     },
     "controller_manager_msgs": {
         "ListControllers": _service("", "controller_manager_msgs/ControllerState[] controller\n"),
-        "ListControllerTypes": _service("", "string[] types\nstring[] base_classes\n"),
         "LoadController": _service("string name\n", "bool ok\n"),
         "UnloadController": _service("string name\n", "bool ok\n"),
         "SwitchController": _service(

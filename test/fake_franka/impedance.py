@@ -23,8 +23,6 @@ Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]
 """Unit quaternion x, y, z, w."""
 
-ORIGIN: Vector = (0.0, 0.0, 0.0)
-
 
 def multiply(left: Quaternion, right: Quaternion) -> Quaternion:
     """Return the product: the rotation `right`, then `left`."""
@@ -129,11 +127,6 @@ class ImpedanceHand:
         self.set_point = ((x, y, z), self.orientation)
         self._target = [x, y, z]
         self._target_orientation = self.orientation
-
-    def displace(self, offset: Sequence[float], turn: float) -> None:
-        """Displace the hand at once by an offset [m] and a turn about z [rad]."""
-        self.position = [value + shift for value, shift in zip(self.position, offset)]
-        self.orientation = multiply(turned_by((0.0, 0.0, turn)), self.orientation)
 
     def advance(self) -> None:
         """Advance by one millisecond under the controller."""

@@ -10,8 +10,6 @@ from controller_manager_msgs.msg import ControllerState, HardwareInterfaceResour
 from controller_manager_msgs.srv import (
     ListControllers,
     ListControllersResponse,
-    ListControllerTypes,
-    ListControllerTypesResponse,
     LoadController,
     LoadControllerResponse,
     SwitchController,
@@ -29,7 +27,6 @@ from fake_franka.controllers import (
     DEFAULT_CONTROLLERS,
     IMPEDANCE_TYPE,
     STATE_TYPE,
-    TYPES,
     ControllerError,
     ControllerManager,
 )
@@ -110,7 +107,6 @@ class ManagerServices:
         self._responds = threading.Event()
         self._responds.set()
         self._offer("list_controllers", ListControllers, self.list_controllers)
-        self._offer("list_controller_types", ListControllerTypes, self.list_types)
         self._offer("load_controller", LoadController, self.load)
         self._offer("unload_controller", UnloadController, self.unload)
         self._offer("switch_controller", SwitchController, self.switch)
@@ -155,10 +151,6 @@ class ManagerServices:
                 ]
             )
 
-    def list_types(self, _request: Any) -> ListControllerTypesResponse:
-        """Service list_controller_types."""
-        return ListControllerTypesResponse(list(TYPES), ["controller_interface::ControllerBase"] * len(TYPES))
-
     def load(self, request: Any) -> LoadControllerResponse:
         """Service load_controller."""
         return LoadControllerResponse(self._done(lambda: self._load(request.name)))
@@ -182,7 +174,7 @@ class ManagerServices:
             return True
 
     def _start_manager(self) -> None:
-        self._manager = ControllerManager(_parameters, lambda: rospy.get_param("~refuse_load", []))
+        self._manager = ControllerManager(_parameters)
         for name in rospy.get_param("~running", ["franka_state_controller"]):
             self._load(name)
             self._switch([name], [], SwitchController._request_class.STRICT)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Callable, Dict, List, Sequence, Set, Tuple
 
 from fake_franka.impedance import (
-    ORIGIN,
     STEP,
     ImpedanceHand,
     Quaternion,
@@ -17,7 +16,6 @@ from fake_franka.impedance import (
     length_of,
     multiply,
     rotation_vector,
-    turned_by,
 )
 
 OTHER, IDLE, MOVE, GUIDING, REFLEX, USER_STOPPED, RECOVERY = range(7)
@@ -57,7 +55,6 @@ class Behaviour:
     end_of_motion: float = 0.0  # s for which the robot is in mode Move after its controller was stopped
     largest_step: float = 0.1  # m between two set-points; a robot has no such limit of its own
     largest_turn: float = 0.6  # rad between two set-points
-    recovers_after_user_stop: bool = False  # automatically, as franka_ros after 0.10.1
     recovers_own_errors_only: bool = False  # a recovery succeeds without effect otherwise, as from franka_ros 0.10.2
 
 
@@ -73,7 +70,7 @@ class FakeRobot:
         outside: Callable[[Vector, Quaternion], Tuple[float, float]] = lambda _position, _orientation: (0.0, 0.0),
         log: Callable[[str], None] = lambda _text: None,
     ) -> None:
-        """outside: returns how far a true pose is outside the workspace and off its height, m."""
+        """outside: returns how far a pose is outside the workspace and off its height, m."""
         self.lock = threading.RLock()
         self.hand = ImpedanceHand(position, orientation, behaviour.friction)
         self.force_limits: Sequence[float] = STOCK_FORCE_LIMITS
@@ -94,7 +91,6 @@ class FakeRobot:
         self._recovering = False
         self._ignored_recovery = False
         self._failing_recoveries = 0
-        self._offset = (ORIGIN, 0.0)  # m, rad: error of the reported pose
         self._truth = Truth()
 
     @property
@@ -118,13 +114,6 @@ class FakeRobot:
     def time(self) -> float:
         """Seconds since the start."""
         return self._time - self._begun
-
-    def true_pose(self) -> Tuple[Vector, Quaternion]:
-        """Return the true pose of the hand, without the reported error."""
-        with self.lock:
-            offset, turn = self._offset
-            x, y, z = (value - shift for value, shift in zip(self.hand.position, offset))
-            return (x, y, z), multiply(turned_by((0.0, 0.0, -turn)), self.hand.orientation)
 
     def advance(self) -> None:
         """Advance to the present time in steps of a millisecond."""
@@ -190,18 +179,6 @@ class FakeRobot:
             self.errors = set()  # the robot reports none while it is pressed, nor afterwards
             if pressed and was_driven:
                 self._end_motion("libfranka: Move command aborted: User Stop pressed!", set())
-            if not pressed and self._has_error and self._behaviour.recovers_after_user_stop:
-                self._has_error = False
-                self._start_motion()
-
-    def jump(self, offset: Sequence[float], turn: float) -> None:
-        """Displace the reported pose by an offset [m] and a turn [rad] from now on."""
-        with self.lock:
-            self.advance()
-            before, before_turn = self._offset
-            x, y, z = (old + new for old, new in zip(before, offset))
-            self._offset = ((x, y, z), before_turn + turn)
-            self.hand.displace(offset, turn)
 
     def command(self, name: str, apply: Callable[[], None]) -> None:
         """Apply a setter of libfranka, which is possible in mode Idle only. Raises CommandError."""
@@ -303,6 +280,6 @@ class FakeRobot:
         truth.max_speed = max(truth.max_speed, hand.speed)
         truth.max_turn_rate = max(truth.max_turn_rate, hand.turn_rate)
         truth.travelled += length_of([now - then for now, then in zip(hand.position, before)])
-        beyond, off_height = self._outside(*self.true_pose())
+        beyond, off_height = self._outside(hand.position, hand.orientation)
         truth.max_outside = max(truth.max_outside, beyond)
         truth.max_height_error = max(truth.max_height_error, off_height)

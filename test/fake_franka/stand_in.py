@@ -10,12 +10,11 @@ from typing import Any, Callable
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import PoseStamped, Quaternion
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from embodied_active_learning.config import Config
 from fake_franka.computer import Computer, Every
-from fake_franka.frames import ARM, Frames, pose_of
+from fake_franka.frames import Frames, pose_of
 from fake_franka.franka_control import FrankaControl
 from fake_franka.manager_services import ManagerServices
 from fake_franka.robot import Behaviour, FakeRobot
@@ -24,8 +23,6 @@ from fake_franka.usb_cam import FakeUsbCam
 
 MOTION_RATE = 200.0
 """Updates of the motion per second; the motion itself is calculated in milliseconds."""
-SLOW_RATE = 3.0
-"""Rate [Hz] of slowed states."""
 
 
 class StandIn:
@@ -41,9 +38,7 @@ class StandIn:
             time.monotonic, position, orientation, Behaviour(**given), self._frames.outside, rospy.logerr
         )
         self._states = StateController(self._robot, self._frames)
-        self._true_poses = rospy.Publisher("~true_pose", PoseStamped, queue_size=1)
-        self._are_silent = self._are_slow = False
-        self._jump = [float(value) for value in rospy.get_param("~jump", [0.05, 0.03, 0.0, 0.2])]
+        self._are_silent = False
         self._camera = (
             FakeUsbCam(self._camera_pose, config, self._computer) if rospy.get_param("~camera", True) else None
         )
@@ -51,38 +46,25 @@ class StandIn:
         FrankaControl(self._robot, self._frames, self._computer)
         self._offer_faults()
         Every(lambda: MOTION_RATE, self._robot.advance)
-        Every(lambda: SLOW_RATE if self._are_slow else self._manager.state_rate, self._publish_states)
+        Every(lambda: self._manager.state_rate, self._publish_states)
 
     def _camera_pose(self) -> np.ndarray:
         self._robot.advance()
-        return self._frames.camera(*self._robot.true_pose())
+        with self._robot.lock:
+            return self._frames.camera(self._robot.hand.position, self._robot.hand.orientation)
 
     def _publish_states(self) -> None:
-        self._publish_truth()
         if not self._are_silent and self._computer.is_alive and self._manager.publishes_states:
             self._states.publish()
-
-    def _publish_truth(self) -> None:
-        """Publish ~true_pose, the end effector's, independently of the reported states."""
-        self._robot.advance()
-        position, orientation = self._robot.true_pose()
-        message = PoseStamped()
-        message.header.stamp, message.header.frame_id = rospy.Time.now(), f"{ARM}_link0"
-        point = message.pose.position
-        point.x, point.y, point.z = position
-        message.pose.orientation = Quaternion(*orientation)
-        self._true_poses.publish(message)
 
     def _offer_faults(self) -> None:
         robot = self._robot
         _trigger("reflex", lambda: robot.reflex("cartesian_reflex"))
         _trigger("fail_next_recovery", robot.fail_next_recovery)
         _trigger("restart_franka_control", self._restart_control)
-        _trigger("pose_jump", lambda: robot.jump(self._jump[:3], self._jump[3]))
         _trigger("truth", self._truth_text)
         _switch("user_stop", robot.set_user_stop)
         _switch("silence_states", lambda on: setattr(self, "_are_silent", on))
-        _switch("slow_states", lambda on: setattr(self, "_are_slow", on))
         _switch("silence_everything", self._silence)
         _switch("hang_controller_manager", self._manager.hang)
         if self._camera is not None:

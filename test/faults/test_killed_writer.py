@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import killed_writer
 from embodied_active_learning.session.atomic import is_leftover
 from embodied_active_learning.session.checkpoints import load_latest, load_model, save_checkpoint
 from embodied_active_learning.session.fingerprints import load_fingerprints, save_fingerprints
@@ -30,7 +31,7 @@ LARGEST = {
     "config": 2500, "observation": 476, "checkpoint": 3000, "model": 2900, "fingerprints": 3000,
     "summary": 250,
 }  # fmt: skip
-SCRIPT = Path(__file__).with_name("killed_writer.py")
+SCRIPT = Path(killed_writer.__file__)
 
 
 class Writers:

@@ -7,26 +7,19 @@ import pytest
 
 from fake_franka.generate import generate
 
-# Found in code that others generated from the originals: C++ of franka_msgs 0.10 (messages, and the requests of
-# SetEEFrame and SetFullCollisionBehavior, from which those two services' follow), JavaScript of franka_control (other
-# services, whose fields have not changed since) and of ros_control 0.19, and C# of dynamic_reconfigure 1.7.
+# Found in code that others generated from the originals: C++ of franka_msgs 0.10 (messages, and the request of
+# SetFullCollisionBehavior, from which that service's follows), JavaScript of franka_control (the other service, whose
+# fields have not changed since) and of ros_control 0.19, and C# of dynamic_reconfigure 1.7.
 ORIGINALS = {
     "franka_msgs.msg.FrankaState": "431567d5df6caf4e4dd7385f25cb71ee",
     "franka_msgs.msg.Errors": "082e9a670c96d8bc64b53e32777458e7",
     "franka_msgs.msg.ErrorRecoveryAction": "d5a016b49f278075666fbc901debbd08",
     "franka_msgs.srv.SetLoad": "c9a8ec436164dd9cbc1e5e137d358e0b",
-    "franka_msgs.srv.SetKFrame": "11b22d30e6a11a7b51828be575a77359",
-    "franka_msgs.srv.SetEEFrame": "459aea8fa6dbdd34ba4bc52d3eddbacf",
-    "franka_msgs.srv.SetEEFrameRequest": "cddf0858e7d540f5bcee9d813a7550a2",
-    "franka_msgs.srv.SetJointImpedance": "f11c4defa2a13040512214f9d77dc982",
-    "franka_msgs.srv.SetCartesianImpedance": "c648a0b1340a53eac0c535568e9b5c60",
-    "franka_msgs.srv.SetForceTorqueCollisionBehavior": "b1e592d1b6960bc05e6e3cba1eb02349",
     "franka_msgs.srv.SetFullCollisionBehavior": "c6fef9a8ad446db9a39cca3b7bc200d8",
     "franka_msgs.srv.SetFullCollisionBehaviorRequest": "bc875909c147220ba1720adcd48e47ea",
     "franka_msgs.srv.SetFullCollisionBehaviorResponse": "45872d25d65c97743cc71afc6d4e884d",
     "controller_manager_msgs.msg.ControllerState": "aeb6b261d97793ab74099a3740245272",
     "controller_manager_msgs.srv.ListControllers": "1341feb2e63fa791f855565d0da950d8",
-    "controller_manager_msgs.srv.ListControllerTypes": "c1d4cd11aefa9f97ba4aeb5b33987f4e",
     "controller_manager_msgs.srv.LoadController": "647e5c54b8d6468952d8d31f1efe96c0",
     "controller_manager_msgs.srv.UnloadController": "647e5c54b8d6468952d8d31f1efe96c0",
     "controller_manager_msgs.srv.SwitchController": "b29a7abc673b2c54c14b54e50f8d06a5",

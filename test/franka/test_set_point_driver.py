@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from driver_lab import TICK, DriverLab, Stop
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import (
     ArmBusyError,
@@ -16,7 +17,6 @@ from embodied_active_learning.errors import (
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
 from embodied_active_learning.franka.set_point_driver import AT_REST, SetPointDriver
-from threads import in_a_thread, wait_for, wait_for_waiter
 
 CONFIG = Config.from_dict(
     {
@@ -24,64 +24,22 @@ CONFIG = Config.from_dict(
         "franka": {"max_turn_lead": 0.5, "recoveries": 2},
     }
 )
-PERIOD = 0.01
 LAG = 0.3
 CENTRE = CONFIG.workspace.box().centre
 RUNNING = {CONTROLLER: Controller("running", True)}
 
 
-class NeverStopped:
-    by = ""
-
-    def is_set(self):
-        return False
-
-
-class StoppedBy:
-    def __init__(self, by):
-        self.by = by
-        self.now = False
-
-    def is_set(self):
-        return self.now
-
-
-class Outcome:
-    """A command in a thread, with its result or error."""
-
-    def __init__(self, command, *arguments):
-        self.result = self.error = None
-        self.thread = in_a_thread(self._run, command, *arguments)
-
-    def _run(self, command, *arguments):
-        try:
-            self.result = command(*arguments)
-        except Exception as error:
-            self.error = error
-
-    @property
-    def is_done(self):
-        return not self.thread.is_alive()
-
-    def raise_error(self):
-        if self.error is not None:
-            raise self.error
-
-
-class Lab:
+class Lab(DriverLab):
     """A driver and a robot that follows its set-points while the test advances the time."""
 
     def __init__(self, config=CONFIG, pose=CENTRE, height=0.0, tilt=(0.0, 0.0)):
-        self.now = 50.0
+        super().__init__(lambda clock: SetPointDriver(config, clock))
         self.mount = CameraMount.from_config(config)
         self.pose = CameraPose(tuple(map(float, pose)), height, tilt)
-        self.driver = SetPointDriver(config, lambda: self.now)
-        self.driver._readiness.set_prepared()
         self.mode, self.errors = RobotMode.MOVE, ()
         self.sends_states = self.follows = True
         self.push = 0.0  # m/s along y, by hand
         self.sent = []
-        self._outcome = None  # of the last command
         self.passes(0.05)
 
     def end_effector(self):
@@ -93,58 +51,26 @@ class Lab:
         values = self.end_effector() if end_effector is None else end_effector
         return self.driver.update_state(self.now, 0.0, values, self.mode, self.errors, ())
 
-    def passes(self, seconds):
-        """Advance the clock, in lock-step with the last command."""
-        ends_at = self.now + seconds - 1e-9
-        while self.now < ends_at:
-            self._tick()
-            self._wait_for_command()
-
-    def _tick(self):
-        with self.driver._changed:  # a command that wakes up sees whole ticks only
-            self.now += PERIOD
-            self.driver.update_control(controllers=RUNNING)
-            set_point = self.driver.tick()
-            self.sent.append(set_point)
-            if set_point is not None and self.follows:
-                share = 1.0 - math.exp(-PERIOD / LAG)
-                planar = [at + share * (to - at) for at, to in zip(self.pose.planar, set_point.planar)]
-                height = self.pose.height + share * (set_point.height - self.pose.height)
-                tilt = tuple(at + share * (to - at) for at, to in zip(self.pose.tilt, set_point.tilt))
-                self.pose = CameraPose(tuple(planar), height, tilt)
-            x, y, theta = self.pose.planar
-            self.pose = self.pose._replace(planar=(x, y + PERIOD * self.push, theta))
-            if self.sends_states:
-                self.sees()
-
-    def _wait_for_command(self):
-        """Return once the last command waits for the next tick, or has ended."""
-        if self._outcome is not None:
-            wait_for_waiter(self._outcome.thread, self.driver._changed)
-
-    def begins(self, command, *arguments):
-        self._outcome = Outcome(command, *arguments)
-        self._wait_for_command()
-        return self._outcome
-
-    def carries_out(self, command, *arguments):
-        outcome = self.begins(command, *arguments)
-        ends_at = self.now + 30.0
-        while not outcome.is_done:
-            assert self.now < ends_at, "the command does not end"
-            self.passes(PERIOD)
-        outcome.raise_error()
-        return outcome.result
+    def tick_robot(self):
+        self.driver.update_control(controllers=RUNNING)
+        set_point = self.driver.tick()
+        self.sent.append(set_point)
+        if set_point is not None and self.follows:
+            share = 1.0 - math.exp(-TICK / LAG)
+            planar = [at + share * (to - at) for at, to in zip(self.pose.planar, set_point.planar)]
+            height = self.pose.height + share * (set_point.height - self.pose.height)
+            tilt = tuple(at + share * (to - at) for at, to in zip(self.pose.tilt, set_point.tilt))
+            self.pose = CameraPose(tuple(planar), height, tilt)
+        x, y, theta = self.pose.planar
+        self.pose = self.pose._replace(planar=(x, y + TICK * self.push, theta))
+        if self.sends_states:
+            self.sees()
 
     def starts_moving(self, velocity=(0.1, 0.0, 0.0), duration=1.0, stop=None):
-        outcome = self.begins(self.driver.move, velocity, duration, stop or NeverStopped())
+        outcome = self.begins(self.driver.move, velocity, duration, stop or Stop())
         self.passes(0.3)
         assert np.any(np.abs(self.driver._history.velocity) > AT_REST)
         return outcome
-
-    def ends(self, outcome):
-        wait_for(lambda: outcome.is_done)
-        outcome.raise_error()
 
     @property
     def velocity(self):
@@ -154,7 +80,7 @@ class Lab:
 def test_move_lasts_its_duration_and_returns_measured_state():
     lab = Lab()
     began_at = lab.now
-    reached = lab.carries_out(lab.driver.move, (0.05, -0.02, 0.1), 0.5, NeverStopped())
+    reached = lab.runs(lab.driver.move, (0.05, -0.02, 0.1), 0.5, Stop())
     assert began_at + 0.5 <= lab.now <= began_at + 0.6
     assert not reached.limited
     np.testing.assert_allclose(reached.pose, lab.pose.planar, atol=2e-3)
@@ -164,7 +90,7 @@ def test_move_lasts_its_duration_and_returns_measured_state():
 def test_moves_join_and_arm_brakes_after_the_last():
     lab = Lab()
     for _ in range(3):
-        lab.carries_out(lab.driver.move, (0.05, 0.0, 0.0), 0.2, NeverStopped())
+        lab.runs(lab.driver.move, (0.05, 0.0, 0.0), 0.2, Stop())
         assert lab.velocity[0] == pytest.approx(0.05)
     lab.passes(CONFIG.franka.coast - 0.03)
     assert lab.velocity[0] == pytest.approx(0.05)
@@ -174,7 +100,7 @@ def test_moves_join_and_arm_brakes_after_the_last():
 
 def test_velocity_above_limits_is_reduced_and_reported():
     lab = Lab()
-    assert lab.carries_out(lab.driver.move, (1.0, 0.0, 0.0), 0.2, NeverStopped()).limited
+    assert lab.runs(lab.driver.move, (1.0, 0.0, 0.0), 0.2, Stop()).limited
     assert lab.velocity[0] <= CONFIG.arm.max_speed
 
 
@@ -185,14 +111,14 @@ def test_velocity_above_limits_is_reduced_and_reported():
 def test_invalid_move_is_rejected(velocity, duration, complaint):
     lab = Lab()
     with pytest.raises(CommandError, match=complaint):
-        lab.carries_out(lab.driver.move, velocity, duration, NeverStopped())
+        lab.runs(lab.driver.move, velocity, duration, Stop())
     np.testing.assert_array_equal(lab.velocity, 0.0)
 
 
 def test_go_to_reaches_pose_and_stops():
     lab = Lab()
     target = (0.4, 0.1, -1.0)
-    reached = lab.carries_out(lab.driver.go_to, target, NeverStopped())
+    reached = lab.runs(lab.driver.go_to, target, Stop())
     assert np.hypot(*np.subtract(reached.pose, target)[:2]) <= CONFIG.franka.tolerance
     assert np.all(np.abs(reached.velocity) <= AT_REST)
 
@@ -201,14 +127,14 @@ def test_go_to_of_blocked_arm_fails_with_distance():
     lab = Lab()
     lab.follows = False
     with pytest.raises(ArmFailedError, match=r"not reached within .* 0\.100 m and 0\.00 rad away, .* 0\.050 m"):
-        lab.carries_out(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), NeverStopped())
+        lab.runs(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), Stop())
 
 
 def test_reflex_at_end_of_go_to_timeout_is_reported():
     """The motion is aborted in the last wait before the timeout."""
     lab = Lab()
     lab.follows = False
-    outcome = lab.begins(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), NeverStopped())
+    outcome = lab.begins(lab.driver.go_to, np.add(CENTRE, (0.0, 0.1, 0.0)), Stop())
     with lab.driver._changed:
         lab.now += 60.0
         lab.mode, lab.errors = RobotMode.REFLEX, ("cartesian_reflex",)
@@ -221,7 +147,7 @@ def test_reflex_at_end_of_go_to_timeout_is_reported():
 def test_go_to_outside_workspace_is_rejected():
     lab = Lab()
     with pytest.raises(CommandError, match="outside the workspace"):
-        lab.carries_out(lab.driver.go_to, (1.5, 0.0, 0.0), NeverStopped())
+        lab.runs(lab.driver.go_to, (1.5, 0.0, 0.0), Stop())
 
 
 def test_stale_state_aborts_move_until_states_return():
@@ -233,7 +159,7 @@ def test_stale_state_aborts_move_until_states_return():
         lab.ends(outcome)
     assert lab.sent[-1] is None
     with pytest.raises(ArmNotReadyError, match="no new robot state"):
-        lab.carries_out(lab.driver.move, (0.1, 0.0, 0.0), 0.2, NeverStopped())
+        lab.runs(lab.driver.move, (0.1, 0.0, 0.0), 0.2, Stop())
     lab.sends_states = True
     lab.passes(0.02)
     lab.passes(0.01)
@@ -246,7 +172,7 @@ def test_repeated_state_counts_as_stale():
     stamp = lab.now
     lab.sends_states = False
     for _ in range(30):
-        lab.passes(PERIOD)
+        lab.passes(TICK)
         lab.driver.update_state(stamp, 0.0, lab.end_effector(), lab.mode, (), ())
     assert "no new robot state" in lab.driver.why_not_ready()
 
@@ -255,7 +181,7 @@ def test_non_finite_state_aborts_move():
     lab = Lab()
     outcome = lab.starts_moving()
     lab.sends_states = False
-    lab.now += PERIOD
+    lab.now += TICK
     assert lab.sees(np.full(16, math.nan)) is None
     assert lab.driver.tick() is None
     with pytest.raises(ArmFailedError, match="not finite"):
@@ -272,7 +198,7 @@ def test_pose_jump_aborts_move_and_holds_new_pose():
         lab.ends(outcome)
     assert lab.driver.jumps == 1
     assert lab.sent[-1].planar == pytest.approx(lab.pose.planar)
-    lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 0.1, NeverStopped())
+    lab.runs(lab.driver.move, (0.0, 0.0, 0.0), 0.1, Stop())
 
 
 def test_reflex_aborts_move_and_rejects_later_commands():
@@ -284,7 +210,7 @@ def test_reflex_aborts_move_and_rejects_later_commands():
         lab.ends(outcome)
     assert lab.sent[-1] is None
     with pytest.raises(ArmBusyError, match="recovery 1 of 2 follows automatically"):
-        lab.carries_out(lab.driver.move, (0.1, 0.0, 0.0), 0.2, NeverStopped())
+        lab.runs(lab.driver.move, (0.1, 0.0, 0.0), 0.2, Stop())
 
 
 def test_reflex_at_end_of_move_is_reported():
@@ -310,13 +236,13 @@ def test_user_stop_aborts_move_until_recovery():
     lab.mode = RobotMode.MOVE
     lab.passes(0.1)
     with pytest.raises(ArmStoppedError, match="call /arm/recover"):
-        lab.carries_out(lab.driver.move, (0.1, 0.0, 0.0), 0.2, NeverStopped())
+        lab.runs(lab.driver.move, (0.1, 0.0, 0.0), 0.2, Stop())
     assert lab.sent[-1] is None
 
 
 def test_stop_aborts_move_and_arm_comes_to_rest():
     lab = Lab()
-    stop = StoppedBy("/operator")
+    stop = Stop("/operator")
     outcome = lab.starts_moving(stop=stop)
     stop.now = True
     lab.passes(0.02)
@@ -325,7 +251,7 @@ def test_stop_aborts_move_and_arm_comes_to_rest():
     before, speed = np.array(lab.pose.planar), lab.velocity[0]
     lab.passes(0.03)
     assert lab.velocity[0] < speed - 0.02, "the command brakes before the stop takes over"
-    reached = lab.carries_out(lab.driver.stop)
+    reached = lab.runs(lab.driver.stop)
     assert np.all(np.abs(reached.velocity) <= AT_REST)
     assert np.hypot(*(lab.pose.planar - before)[:2]) < 0.03
     lab.passes(0.5)
@@ -337,14 +263,14 @@ def test_stop_without_states_reports_unknown_rest():
     lab.sends_states = False
     lab.passes(0.3)
     with pytest.raises(ArmFailedError, match="unknown whether the arm is at rest"):
-        lab.carries_out(lab.driver.stop)
+        lab.runs(lab.driver.stop)
 
 
 def test_stop_of_jumping_arm_reports_unknown_rest():
     lab = Lab()
     lab.follows, lab.push = False, 2.0
     with pytest.raises(ArmFailedError, match="pose jumps from state to state"):
-        lab.carries_out(lab.driver.stop)
+        lab.runs(lab.driver.stop)
 
 
 def test_stop_of_moving_arm_asks_for_user_stop():
@@ -352,7 +278,7 @@ def test_stop_of_moving_arm_asks_for_user_stop():
     lab.follows, lab.push = False, 0.02
     lab.passes(0.3)
     with pytest.raises(ArmFailedError, match=r"did not come to rest .* it moves at \[0\.0, 0\.02, .*user stop"):
-        lab.carries_out(lab.driver.stop)
+        lab.runs(lab.driver.stop)
 
 
 def test_set_point_does_not_follow_arm_after_failed_stop():
@@ -360,7 +286,7 @@ def test_set_point_does_not_follow_arm_after_failed_stop():
     lab.sends_states = False
     lab.passes(0.3)
     with pytest.raises(ArmFailedError):
-        lab.carries_out(lab.driver.stop)
+        lab.runs(lab.driver.stop)
     lab.sends_states, lab.follows = True, False
     lab.passes(0.1)
     x, y, theta = lab.pose.planar
@@ -371,7 +297,7 @@ def test_set_point_does_not_follow_arm_after_failed_stop():
 
 def test_move_fails_when_ticks_end():
     lab = Lab()
-    outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, NeverStopped())
+    outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, Stop())
     with lab.driver._changed:
         lab.now += 0.6
         lab.sees()
@@ -417,15 +343,15 @@ def test_outdated_list_of_controllers_aborts_move():
 def test_motion_does_not_start_far_from_plane_or_workspace(place, complaint):
     lab = Lab(**place)
     with pytest.raises(ArmNotReadyError, match=complaint):
-        lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 0.1, NeverStopped())
+        lab.runs(lab.driver.move, (0.0, 0.0, 0.0), 0.1, Stop())
     lab.passes(0.3)
     assert lab.sent[-1] == lab.sent[1]
 
 
 def test_small_pose_errors_are_corrected_during_motion():
     lab = Lab(pose=(0.64, 0.0, 0.0), height=0.02, tilt=(0.1, 0.0))
-    lab.carries_out(lab.driver.go_to, (0.6, 0.0, 0.0), NeverStopped())
-    lab.carries_out(lab.driver.move, (0.0, 0.0, 0.0), 1.0, NeverStopped())
+    lab.runs(lab.driver.go_to, (0.6, 0.0, 0.0), Stop())
+    lab.runs(lab.driver.move, (0.0, 0.0, 0.0), 1.0, Stop())
     assert abs(lab.pose.height) < 0.003
     assert lab.pose.tilt_angle < 0.02
 
@@ -436,6 +362,6 @@ def test_pushed_arm_pulls_set_point_along():
     for _ in range(40):
         x, y, theta = lab.pose.planar
         lab.pose = lab.pose._replace(planar=(x, y + 0.003, theta))
-        lab.passes(PERIOD)
+        lab.passes(TICK)
     assert lab.driver.displacements == 1
     assert lab.driver.lead()[0] == pytest.approx(CONFIG.franka.max_lead, abs=0.004)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from driver_lab import TICK, DriverLab, Stop
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ArmFailedError, ArmStoppedError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
@@ -15,7 +16,6 @@ from embodied_active_learning.franka.set_points import MAX_PERIOD, Tracking
 from embodied_active_learning.franka.velocity_tracking import VelocityTracker, velocity_driver
 from embodied_active_learning.ros.arm.velocity_sender import VelocitySender
 from fake_velocity_service.robot import VelocityRobot
-from threads import in_a_thread, wait_for_waiter
 
 CONFIG = Config.from_dict(
     {
@@ -23,7 +23,6 @@ CONFIG = Config.from_dict(
         "franka": {"camera_position": (0.05, 0.0, 0.04), "camera_rotation": (0.0, 0.0, 0.7)},
     }
 )
-TICK = 0.01
 ARM = CONFIG.arm
 # of x, y, theta, height and tilt
 TOP = np.array([ARM.max_speed, ARM.max_speed, ARM.max_turn_rate, 0.02, 0.1, 0.1])
@@ -32,84 +31,38 @@ ROUNDING = 1e-9
 CENTRE = tuple(map(float, CONFIG.workspace.box().centre))
 
 
-class Stop:
-    by = "a test"
-
-    def __init__(self):
-        self.now = False
-
-    def is_set(self):
-        return self.now
-
-
-class Lab:
+class Lab(DriverLab):
     """A robot whose pose arrives with a delay of five ticks."""
 
     def __init__(self, pose=CENTRE, height=0.0, **robot):
-        self.now = 100.0
+        super().__init__(lambda clock: velocity_driver(CONFIG, clock))
         self.mount = CameraMount.from_config(CONFIG)
         matrix = np.eye(4)
         matrix[:3, 3], matrix[:3, :3] = self.mount.end_effector(CameraPose(pose, height, (0.0, 0.0)))
         self.robot = VelocityRobot(matrix, **robot)
-        self.driver = velocity_driver(CONFIG, lambda: self.now)
         self.readiness = self.driver._readiness
         interface = SimpleNamespace(send=lambda twist: self.robot.command(*twist))
         self.sender = VelocitySender(interface, self.driver, CONFIG, lambda: self.now)
-        self.thread = None  # of the last command
         self.cameras, self.queue = [], []
-        self.readiness.set_prepared()
         self.passes(0.3)
 
     @property
     def camera(self):
         return self.mount.camera_pose(self.robot.pose.T.ravel())
 
-    def passes(self, seconds):
-        """Advance the clock, in lock-step with the last command."""
-        for _ in range(round(seconds / TICK)):
-            self._tick()
-            if self.thread is not None:
-                wait_for_waiter(self.thread, self.driver._changed)
-
-    def _tick(self):
-        with self.driver._changed:  # a command that wakes up sees whole ticks only
-            self.now += TICK
-            self.robot.advance(TICK)
-            self.cameras.append(self.camera)
-            self.queue.append((self.now, self.robot.pose.T.ravel().copy()))
-            if len(self.queue) > 5:
-                stamp, pose = self.queue.pop(0)
-                self.driver.update_state(stamp, self.now - stamp, pose, RobotMode.OTHER)
-            self.sender.send()
-
-    def begins(self, command, *arguments, stop=None):
-        outcome = []
-
-        def run():
-            try:
-                outcome.append(command(*arguments, stop or Stop()))
-            except Exception as error:
-                outcome.append(error)
-
-        self.thread = in_a_thread(run)
-        wait_for_waiter(self.thread, self.driver._changed)
-        return self.thread, outcome
-
-    def runs(self, command, *arguments):
-        """Run a command of the driver to its end -> its result."""
-        thread, outcome = self.begins(command, *arguments)
-        ends_at = self.now + 60.0
-        while thread.is_alive():
-            assert self.now < ends_at, "the command does not end"
-            self.passes(TICK)
-        if isinstance(outcome[0], Exception):
-            raise outcome[0]
-        return outcome[0]
+    def tick_robot(self):
+        self.robot.advance(TICK)
+        self.cameras.append(self.camera)
+        self.queue.append((self.now, self.robot.pose.T.ravel().copy()))
+        if len(self.queue) > 5:
+            stamp, pose = self.queue.pop(0)
+            self.driver.update_state(stamp, self.now - stamp, pose, RobotMode.OTHER)
+        self.sender.send()
 
 
 def test_go_to_arrives_within_limits_although_poses_are_late():
     lab = Lab()
-    reached = lab.runs(lab.driver.go_to, (0.6, 0.12, 1.0))
+    reached = lab.runs(lab.driver.go_to, (0.6, 0.12, 1.0), Stop())
     lab.passes(0.5)
     np.testing.assert_allclose(lab.camera.planar, (0.6, 0.12, 1.0), atol=5e-3)
     np.testing.assert_allclose(reached.pose, (0.6, 0.12, 1.0), atol=CONFIG.franka.tolerance)
@@ -119,15 +72,15 @@ def test_go_to_arrives_within_limits_although_poses_are_late():
 
 def test_height_is_held_against_drift():
     lab = Lab(height=0.01, drift=(0.0, 0.0, 0.004))
-    lab.runs(lab.driver.go_to, (0.5, 0.1, 0.0))
-    lab.runs(lab.driver.go_to, (0.5, -0.1, 0.0))
+    lab.runs(lab.driver.go_to, (0.5, 0.1, 0.0), Stop())
+    lab.runs(lab.driver.go_to, (0.5, -0.1, 0.0), Stop())
     assert abs(lab.camera.height) < 4e-3
     assert lab.camera.tilt_angle < 0.01
 
 
 def test_camera_turns_about_itself_with_offset_mount():
     lab = Lab()
-    lab.runs(lab.driver.go_to, (*CENTRE[:2], 1.5))
+    lab.runs(lab.driver.go_to, (*CENTRE[:2], 1.5), Stop())
     path = np.array([camera.planar[:2] for camera in lab.cameras])
     assert np.abs(path - CENTRE[:2]).max() < 5e-3
 
@@ -135,31 +88,31 @@ def test_camera_turns_about_itself_with_offset_mount():
 def test_workspace_is_kept_when_driven_at_its_border():
     lab = Lab(pose=(0.58, 0.0, 0.0))
     for _ in range(8):
-        assert lab.runs(lab.driver.move, (0.1, 0.0, 0.0), 0.2) is not None
+        assert lab.runs(lab.driver.move, (0.1, 0.0, 0.0), 0.2, Stop()) is not None
     assert max(camera.planar[0] for camera in lab.cameras) <= CONFIG.workspace.x[1] + 5e-3
     assert lab.camera.planar[0] > CONFIG.workspace.x[1] - 0.01
 
 
 def test_stop_ends_motion_within_braking_distance():
     lab, stop = Lab(), Stop()
-    thread, outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, stop=stop)
+    outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, stop)
     lab.passes(0.5)
     stop.now, at = True, lab.camera.planar[0]
-    thread.join(10.0)
+    outcome.thread.join(10.0)
     lab.passes(1.0)
-    assert isinstance(outcome[0], ArmStoppedError)
+    assert isinstance(outcome.error, ArmStoppedError)
     assert lab.camera.planar[0] - at < 0.03
     assert np.abs(lab.robot.velocity).max() < 1e-3
 
 
 def test_robot_that_does_not_follow_is_held_until_released():
     lab = Lab()
-    thread, outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0)
+    outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, Stop())
     lab.passes(0.2)
     lab.robot.success = False
     lab.passes(0.2)
-    thread.join(10.0)
-    assert isinstance(outcome[0], ArmStoppedError)
+    outcome.thread.join(10.0)
+    assert isinstance(outcome.error, ArmStoppedError)
     lab.robot.success = True
     lab.passes(3.0)
     assert lab.readiness.condition is Condition.RECOVERY_REQUIRED
@@ -173,20 +126,20 @@ def test_robot_that_does_not_follow_is_held_until_released():
 def test_blocked_robot_fails_go_to_without_windup():
     lab = Lab(blocked=True)
     with pytest.raises(ArmFailedError, match="not reached"):
-        lab.runs(lab.driver.go_to, (0.55, 0.0, 0.0))
+        lab.runs(lab.driver.go_to, (0.55, 0.0, 0.0), Stop())
     assert lab.driver.lead()[0] <= 1.5 * CONFIG.franka.max_lead
 
 
 def test_stale_poses_end_the_motion():
     lab = Lab()
-    thread, outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0)
+    outcome = lab.begins(lab.driver.move, (0.1, 0.0, 0.0), 1.0, Stop())
     lab.passes(0.3)
     assert lab.driver.tracking() is not None
     lab.now += CONFIG.franka.state_max_age + TICK
     assert lab.driver.tick() is None
     assert lab.driver.tracking() is None
-    thread.join(10.0)
-    assert isinstance(outcome[0], ArmFailedError)
+    outcome.thread.join(10.0)
+    assert isinstance(outcome.error, ArmFailedError)
     assert "stale" in lab.driver.why_not_ready()
 
 

@@ -11,6 +11,8 @@ from embodied_active_learning.config import REAL_ROBOTS, SIMULATED
 from launching import ROOT
 from threads import in_a_thread
 
+pytestmark = pytest.mark.usefixtures("commands_in_process")
+
 
 class Master(SimpleXMLRPCServer):
     """A ROS master that knows some nodes, and is the server of each of them."""
@@ -33,7 +35,7 @@ class Master(SimpleXMLRPCServer):
 def master(monkeypatch):
     with Master() as master:
         monkeypatch.setenv("ROS_MASTER_URI", master.uri)
-        thread = in_a_thread(master.serve_forever)
+        thread = in_a_thread(master.serve_forever, 0.01)
         yield master
         master.shutdown()
         thread.join()

@@ -1,5 +1,6 @@
 """Conversion between messages and arrays, without a master."""
 
+from contextlib import suppress
 from io import BytesIO
 
 import numpy as np
@@ -8,6 +9,7 @@ import rospy
 from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs import point_cloud2
+from sensor_msgs.msg import Image
 
 from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.ros import conversions, names
@@ -65,6 +67,19 @@ def test_image_that_does_not_fit_rejected(change, expected):
     assert expected in str(refusal.value)
 
 
+@given(
+    st.integers(0, 2**32 - 1) | st.just(4),
+    st.integers(0, 2**32 - 1) | st.just(6),
+    st.integers(0, 2**32 - 1) | st.just(18),
+    st.sampled_from(["rgb8", "bgr8", "mono8", ""]),
+    st.binary(max_size=80) | st.just(bytes(72)),
+)
+def test_any_image_is_converted_or_rejected(height, width, step, encoding, data):
+    message = Image(height=height, width=width, step=step, encoding=encoding, data=data)
+    with suppress(ObservationError):
+        assert conversions.image_array(message, 4, 6).shape == (4, 6, 3)
+
+
 @given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
 def test_state_round_trip(values):
     message = conversions.state_message(STAMP, values[:3], values[3:])
@@ -85,6 +100,7 @@ def test_cloud_contains_points_and_values():
     cloud = conversions.cloud_message(STAMP, points, values)
     read = np.array(list(point_cloud2.read_points(cloud, ("x", "y", "z", "intensity"))))
     np.testing.assert_allclose(read, np.column_stack([points, values]), rtol=1e-6)
+    assert cloud.header.frame_id == "panda_link0"
 
 
 def test_path_contains_positions_and_headings():
@@ -92,6 +108,7 @@ def test_path_contains_positions_and_headings():
     pose = path.poses[0].pose
     assert (pose.position.x, pose.position.y, pose.position.z) == (0.4, 0.1, 0.3)
     assert pose.orientation.z == pytest.approx(np.sqrt(0.5))
+    assert path.header.frame_id == "panda_link0"
 
 
 def test_grid_layout_and_origin():
@@ -113,7 +130,9 @@ def test_grid_values_clipped_to_0_and_100(value):
 
 
 def test_workspace_marker_has_twelve_edges():
-    assert len(conversions.workspace_marker(Workspace(), 0.3).points) == 24
+    marker = conversions.workspace_marker(Workspace(), 0.3)
+    assert len(marker.points) == 24
+    assert marker.header.frame_id == "panda_link0"
 
 
 def test_state_interpolation_takes_shorter_rotation():

@@ -7,6 +7,7 @@ import unittest
 import cv2
 import numpy as np
 import rospy
+import search_path  # noqa: F401  for the helpers below
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -16,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 import rostest
 from embodied_active_learning.geometry import field_of_view, intrinsics
 from embodied_active_learning.ros.conversions import camera_info_message, image_array
+from threads import wait_for
 
 TIMEOUT = 30.0
 HEIGHT, WIDTH = 360, 640
@@ -30,16 +32,13 @@ def checkerboard():
     return picture
 
 
-def packed(picture, order):
-    """Encode a picture in 4:2:2; here, pixels that share their chroma have equal colours."""
+def packed(picture):
+    """Encode a picture in 4:2:2, as u y v y; here, pixels that share their chroma have equal colours."""
     y, v, u = np.moveaxis(cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb).astype(float), -1, 0)
     y, u, v = 16 + y * 219 / 255, 128 + (u - 128) * 224 / 255, 128 + (v - 128) * 224 / 255
     pixels = np.empty((HEIGHT, WIDTH, 2), np.uint8)
-    pixels[..., order.index("Y")] = np.rint(y)
-    pixels[:, 0::2, order.index("U") % 2], pixels[:, 1::2, order.index("U") % 2] = (
-        np.rint(u[:, 0::2]),
-        np.rint(v[:, 1::2]),
-    )
+    pixels[..., 1] = np.rint(y)
+    pixels[:, 0::2, 0], pixels[:, 1::2, 0] = np.rint(u[:, 0::2]), np.rint(v[:, 1::2])
     return pixels
 
 
@@ -91,6 +90,11 @@ class CameraPipelineTest(unittest.TestCase):
         self.camera.publish(Image(header, height, width, encoding, 0, rows.shape[1], rows.tobytes()))
         return self.images.wait_for(lambda message: message.header.stamp == header.stamp)
 
+    def shown_info(self):
+        """Publish a picture -> the camera info of the resulting image."""
+        self.show(checkerboard(), "rgb8")
+        return self.infos.wait_for(lambda message: message.header.stamp == self.stamp)
+
     def test_every_encoding_is_converted_with_its_stamp(self):
         picture = checkerboard()
         expected = cv2.resize(picture[:, 140:500], (180, 180), interpolation=cv2.INTER_AREA)
@@ -99,20 +103,13 @@ class CameraPipelineTest(unittest.TestCase):
             ("rgb8", picture, 0),
             ("bgr8", picture[..., ::-1], 0),
             ("rgba8", np.concatenate([picture, alpha], axis=-1), 0),
-            ("yuyv", packed(picture, "YUYV"), 4),
-            ("yuv422", packed(picture, "UYVY"), 4),
+            ("yuv422", packed(picture), 4),
         ):
             with self.subTest(encoding):
                 message = self.show(array, encoding, padding=16)
                 self.assertEqual(message.header.frame_id, "camera_optical_frame")
                 image = image_array(message, 180, 180)
                 np.testing.assert_allclose(image.astype(int), expected, atol=tolerance)
-
-    def test_picture_of_model_size_is_passed_unchanged(self):
-        picture = np.random.default_rng(0).integers(0, 256, (180, 180, 3), dtype=np.uint8)
-        message = self.show(picture, "rgb8")
-        self.assertEqual(message.data, picture.tobytes())
-        self.assertEqual(message.header.frame_id, "camera_optical_frame")
 
     def test_compressed_transport_is_selectable(self):
         picture = checkerboard()
@@ -136,17 +133,13 @@ class CameraPipelineTest(unittest.TestCase):
         self.assertAlmostEqual(2.0 * np.arctan2(turn.z, turn.w), 1.5)
 
     def test_camera_info_is_of_image_and_wrong_view_is_logged(self):
-        self.show(checkerboard(), "rgb8")
-        info = self.infos.wait_for(lambda message: message.header.stamp == self.stamp)
+        info = self.shown_info()
         self.assertAlmostEqual(field_of_view(np.reshape(info.K, (3, 3)), info.height), 30.0)
         narrow = camera_info_message(rospy.Time(), intrinsics(WIDTH, HEIGHT, 20.0), HEIGHT, WIDTH)
         narrow.D = [0.1, -0.2, 0.0, 0.0, 0.0]
-        for _ in range(200):  # the calibration has a connection of its own
-            self.calibration.publish(narrow)
-            self.show(checkerboard(), "rgb8")
-            info = self.infos.wait_for(lambda message: message.header.stamp == self.stamp)
-            if info.D[0]:
-                break
+        self.calibration.publish(narrow)
+        wait_for(lambda: self.shown_info().D[0], timeout=TIMEOUT)  # the calibration has a connection of its own
+        info = self.shown_info()
         self.assertEqual((info.height, info.width, info.header.frame_id), (180, 180, "camera_optical_frame"))
         self.assertAlmostEqual(field_of_view(np.reshape(info.K, (3, 3)), info.height), 20.0)
         np.testing.assert_allclose((info.K[2], info.K[5]), 89.5)

@@ -1,23 +1,18 @@
 #!/usr/bin/env python3
 """Preflight with a simulated arm, in an empty namespace, and without a ROS master."""
 
-import sys
 import unittest
 from pathlib import Path
 
 import rospy
+import search_path  # noqa: F401  for the helpers below
 from embodied_active_learning.msg import PlanarState
+from preflight_run import ROSRUN, TIMEOUT, PreflightRun
 
 import rostest
+from launching import free_port
 
-HERE = Path(__file__).resolve().parent
-sys.path += [str(HERE), str(HERE.parents[1] / "tools")]
-
-from preflight_run import ROSRUN, TIMEOUT, PreflightRun  # noqa: E402
-
-from free_port import free_port  # noqa: E402
-
-LAB = HERE / "lab.yaml"
+LAB = Path(__file__).with_name("lab.yaml")
 
 
 class PreflightTest(unittest.TestCase):

@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
 from free_port import free_port  # noqa: E402  lies in tools/, which is no package
+from threads import wait_while_running  # noqa: E402
 
 
 def environment(home):
@@ -71,3 +72,48 @@ def pid_of(node, launcher):
     processes = processes_of(launcher)
     assert node in processes, f"{node} is not running"
     return processes[node]
+
+
+@contextmanager
+def frozen(process):
+    """Freeze a process, given by its id, while the block runs."""
+    os.kill(process, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(process, signal.SIGCONT)
+
+
+def rows(table):
+    """Return the number of rows of a CSV file; 0 if it does not exist yet."""
+    return len(table.read_text().splitlines()) - 1 if table.exists() else 0
+
+
+def is_finished(session):
+    """Return whether a session has all files of a complete learning run."""
+    check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", session]
+    return subprocess.run(check, check=False, capture_output=True).returncode == 0
+
+
+class Run:
+    """A launch in progress, whose output is in home/launch.log, and the session that it writes below home."""
+
+    def __init__(self, home, session, process, variables):
+        self.home, self.path = home, home / session
+        self.process, self.variables = process, variables
+
+    @property
+    def log(self):
+        return (self.home / "launch.log").read_text()
+
+    @property
+    def steps(self):
+        """The number of steps in the planner's table."""
+        return rows(self.path / "exploration.csv")
+
+    def pid(self, node):
+        return pid_of(node, self.process.pid)
+
+    def wait_for(self, condition, timeout=120):
+        """Return once a condition holds; fail if the launch ends before."""
+        wait_while_running(self.process, condition, timeout, lambda: self.log)

@@ -77,6 +77,14 @@ def test_status_names_who_paused(monkeypatch):
     assert [text.partition("pause by ")[2] for text in shown] == ["/fingerprinter /operator", "/fingerprinter"]
 
 
+def test_pause_reports_whether_planner_was_paused_before(monkeypatch):
+    monkeypatch.setattr(pause_server.persistent_parameters, "load", lambda name: "")
+    monkeypatch.setattr(pause_server.persistent_parameters, "store", lambda name, text: None)
+    monkeypatch.setattr(pause_server, "name_of_caller", lambda request: "/operator")
+    server = PauseServer(SimpleNamespace(pause=lambda cause: None, stop=lambda: None))
+    assert [server.pause(TriggerRequest()).message for _ in range(2)] == ["paused", "already paused"]
+
+
 def test_pause_requests_restored_from_text():
     requests = PauseRequests()
     requests.add("/fingerprinter")

@@ -6,8 +6,9 @@ from xml.parsers.expat import ExpatError
 
 import pytest
 import rospy
+from std_srvs.srv import Trigger, TriggerRequest
 
-from embodied_active_learning.errors import ServiceError
+from embodied_active_learning.errors import ObservationError, ServiceError
 from embodied_active_learning.ros.runtime import services, wait_log
 
 
@@ -68,3 +69,14 @@ def test_server_with_another_definition_is_an_error(monkeypatch):
 def test_error_of_the_handler_is_not_repeated(monkeypatch):
     with pytest.raises(ServiceError, match=r"/observe failed: .*see its node's log"):
         retrying_service(monkeypatch, rospy.ServiceException("service responded with an error: b''")).call(None)
+
+
+def test_error_of_advertised_service_becomes_unsuccessful_response(monkeypatch):
+    def refuse(_request):
+        raise ObservationError("image has 0 bytes")
+
+    advertised = {}
+    monkeypatch.setattr(rospy, "Service", lambda name, service_class, handler: advertised.update({name: handler}))
+    services.advertise_service("observe", Trigger, refuse)
+    response = advertised["observe"](TriggerRequest())
+    assert (response.success, response.message) == (False, "image has 0 bytes")

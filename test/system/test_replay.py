@@ -21,8 +21,7 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.session.summary import read_summary
 from embodied_active_learning.simulation.truth import true_objects
-from launching import ROOT, launch_to_the_end, launched, pid_of
-from threads import wait_while_running
+from launching import ROOT, Run, launch_to_the_end, launched, rows
 
 pytestmark = pytest.mark.ros
 
@@ -48,23 +47,18 @@ def arguments(home, **values):
     return [f"{name}:={value}" for name, value in values.items()]
 
 
-def rows(path):
-    return len(path.read_text().splitlines()) - 1 if path.exists() else 0
-
-
 @pytest.fixture(scope="module")
 def replayed(home):
     """Replay, killed in the middle and resumed -> its folder, and the output of the launch."""
     chosen = arguments(home, respawn="true", fingerprint="true")
     with launched(home, "replay.launch", *chosen) as process:
-        wait_while_running(
-            process, lambda: rows(home / "again" / "training.csv") >= 60, 120, (home / "launch.log").read_text
-        )
+        run = Run(home, "again", process, None)
+        run.wait_for(lambda: rows(run.path / "training.csv") >= 60)
         for node in ("replay", "trainer"):
-            os.kill(pid_of(node, process.pid), signal.SIGKILL)
-        assert 60 <= rows(home / "again" / "exploration.csv") < OBSERVATIONS
+            os.kill(run.pid(node), signal.SIGKILL)
+        assert 60 <= run.steps < OBSERVATIONS
         process.wait(240)
-    return home / "again", (home / "launch.log").read_text()
+    return run.path, run.log
 
 
 def test_replay_gives_the_weights_of_its_observations(replayed, home):

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 from contextlib import ExitStack
 
 import pytest
@@ -13,8 +11,7 @@ import yaml
 import embodied_active_learning as eal
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.session.session import Session
-from launching import ROOT, environment, launch_to_the_end, launched, pid_of, started
-from threads import wait_while_running
+from launching import ROOT, Run, environment, is_finished, launch_to_the_end, launched, rows, started
 
 pytestmark = pytest.mark.ros
 
@@ -24,18 +21,6 @@ SHORT = ROOT / "test" / "rostest" / "short.yaml"
 def arguments(root, session="run", **overrides):
     values = {"profile": SHORT, "session_root": root, "session": session, "max_lag": 0, "seed": 1, **overrides}
     return ["learn.launch", *(f"{name}:={value}" for name, value in values.items())]
-
-
-def finished(path):
-    check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", path]
-    return subprocess.run(check, check=False, capture_output=True).returncode == 0
-
-
-def wait_for_size(path, size, process):
-    """Return once a file of a running launch has more characters than `size`."""
-    wait_while_running(
-        process, lambda: path.exists() and len(path.read_text()) > size, 120, lambda: f"{path.name} does not grow"
-    )
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +33,7 @@ def first(tmp_path_factory):
 
 def test_run_ends_with_figures_and_summary(first):
     path, output = first
-    assert finished(path), output
+    assert is_finished(path), output
     assert "active units" in output
     assert str(path / "figures" / "learning_metrics.png") in output
 
@@ -82,77 +67,50 @@ def test_recording_equals_stored_observations(first):
     assert topics >= {"/target_distribution", "/training_status", "/diagnostics"}
 
 
-def test_finished_session_not_overwritten(first, tmp_path):
-    path, _ = first
-    before = {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")}
-    output = launch_to_the_end(tmp_path, *arguments(path.parent))
+def test_invalid_argument_refused_before_nodes_start(tmp_path):
+    output = launch_to_the_end(tmp_path, *arguments(tmp_path, explorer="ergodyc"), timeout=60)
     assert "nothing was started" in output
-    assert f"session {path} exists" in output
-    assert {entry: entry.stat().st_mtime_ns for entry in path.rglob("*")} == before
-
-
-@pytest.mark.parametrize(
-    ("overrides", "expected"),
-    [
-        ({"world": "diagonale"}, "diagonal"),
-        ({"explorer": "ergodyc"}, "did you mean ergodic?"),
-        ({"steps": 0}, "exploration/steps is 0"),
-        ({"session": "../elsewhere"}, "session/name is '../elsewhere'"),
-        ({"session": "nothing-there", "resume": "true"}, "there is no session nothing-there in"),
-    ],
-)
-def test_invalid_arguments_refused_before_nodes_start(overrides, expected, tmp_path):
-    output = launch_to_the_end(tmp_path, *arguments(tmp_path, **overrides), timeout=60)
-    assert "nothing was started" in output
-    assert expected in output
+    assert "did you mean ergodic?" in output
     assert "process[" not in output
 
 
 def test_run_with_killed_trainer_ends_unfinished(tmp_path):
     path = tmp_path / "run"
     with launched(tmp_path, *arguments(tmp_path, steps=80)) as process:
-        wait_for_size(path / "training.csv", 1500, process)
-        os.kill(pid_of("trainer", process.pid), signal.SIGKILL)
+        run = Run(tmp_path, "run", process, None)
+        run.wait_for(lambda: rows(path / "training.csv") > 5)
+        os.kill(run.pid("trainer"), signal.SIGKILL)
         process.wait(60)
-    assert not finished(path)
+    assert not is_finished(path)
     stored = len(Session.open_read_only(path).open_observations())
     assert 8 < stored < 80
 
 
-def test_run_finishes_after_its_worker_is_killed(tmp_path):
-    path, profile, steps = tmp_path / "run", yaml.safe_load(SHORT.read_text()), 60
-    profile["training"]["updates_per_round"] = 2
-    (tmp_path / "profile.yaml").write_text(yaml.safe_dump(profile))
-    several = arguments(tmp_path, profile=tmp_path / "profile.yaml", steps=steps, trainers=2)
-    with launched(tmp_path, *several) as process:
-        wait_for_size(path / "rounds.csv", 100, process)
-        os.kill(pid_of("trainer_worker_1", process.pid), signal.SIGKILL)
-        process.wait(180)
-    output = (tmp_path / "launch.log").read_text()
-    assert finished(path), output
-    assert "training with 2 of 2 trainers" in output
-    assert "trainer worker 1 dropped" in output
-    session = Session.open_read_only(path)
-    rounds = session.read_table("rounds")
-    assert (int(rounds["trainers"].max()), int(rounds["trainers"].min())) == (2, 1)
-    assert rounds["updates"].sum() == steps
-    assert len(session.open_observations()) == steps
-
-
 def test_two_namespaces_under_one_master(tmp_path):
+    """One of the runs has a second trainer, which is killed and restarted."""
+    profile = yaml.safe_load(SHORT.read_text())
+    profile["training"]["updates_per_round"] = 2
+    (tmp_path / "rounds.yaml").write_text(yaml.safe_dump(profile))
+    more = {"left": {"steps": 20}, "right": {"trainers": 2, "profile": tmp_path / "rounds.yaml"}}
     variables = environment(tmp_path)
     port = variables["ROS_MASTER_URI"].rsplit(":", 1)[1]
     with started(["roscore", "-p", port], tmp_path / "core.log", variables):
         homes = {name: tmp_path / name for name in ("left", "right")}
         with ExitStack() as both:
-            processes = []
+            runs = []
             for name, home in homes.items():
                 home.mkdir()
                 inside = {**variables, "ROS_HOME": str(home), "ROS_NAMESPACE": name}
-                launch = launched(home, "--wait", *arguments(home, steps=20, record="true"), variables=inside)
-                processes.append(both.enter_context(launch))
-            for process in processes:
-                process.wait(180)
-    for home in homes.values():
-        assert finished(home / "run"), (home / "launch.log").read_text()
-        recorded(home / "run")
+                words = arguments(home, record="true", **more[name])
+                process = both.enter_context(launched(home, "--wait", *words, variables=inside))
+                runs.append(Run(home, "run", process, inside))
+            several = runs[1]
+            several.wait_for(lambda: rows(several.path / "rounds.csv") > 2)
+            os.kill(several.pid("trainer_worker_1"), signal.SIGKILL)
+            for run in runs:
+                run.process.wait(180)
+    for run in runs:
+        assert is_finished(run.path), run.log
+        recorded(run.path)
+    assert "training with 2 of 2 trainers" in several.log
+    assert Session.open_read_only(several.path).read_table("rounds")["trainers"].max() == 2

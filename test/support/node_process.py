@@ -3,12 +3,13 @@
 import os
 import signal
 import subprocess
-from contextlib import contextmanager
 from pathlib import Path
 from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
+
+from launching import frozen
 
 
 class NodeProcess:
@@ -45,13 +46,8 @@ class NodeProcess:
             self.process.kill()
 
 
-@contextmanager
-def frozen(node):
+def frozen_node(name):
     """Freeze any running node while the block runs."""
     caller = rospy.get_name()
-    _, _, pid = ServerProxy(rosgraph.Master(caller).lookupNode(node)).getPid(caller)
-    os.kill(pid, signal.SIGSTOP)
-    try:
-        yield
-    finally:
-        os.kill(pid, signal.SIGCONT)
+    _, _, process = ServerProxy(rosgraph.Master(caller).lookupNode(name)).getPid(caller)
+    return frozen(process)

@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-import threading
 
 import actionlib_msgs.msg
 import pytest
@@ -17,8 +16,8 @@ from embodied_active_learning.session.fingerprints import has_fingerprints, load
 from embodied_active_learning.session.identifications import load_identification, load_trace
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.truth import true_objects
-from launching import ROOT, environment, launch_to_the_end, launched
-from threads import wait_while_running
+from launching import ROOT, Run, environment, launch_to_the_end, launched
+from threads import in_a_thread
 
 pytestmark = pytest.mark.ros
 
@@ -26,13 +25,8 @@ TINY = ROOT / "test" / "rostest" / "tiny.yaml"
 IMAGES = 300
 
 
-class Learning:
+class Learning(Run):
     """A learning run that stays up, and the responses to calls while it ran."""
-
-    def __init__(self, home):
-        self.home = home
-        self.path = home / "tiny"
-        self.variables = environment(home)
 
     def call(self, service, request="{}"):
         """Call a service with rosservice and return its response."""
@@ -41,32 +35,24 @@ class Learning:
         assert run.returncode == 0, run.stderr
         return yaml.safe_load(run.stdout)
 
-    def rows(self):
-        table = self.path / "exploration.csv"
-        return len(table.read_text().splitlines()) - 1 if table.exists() else 0
-
-    def wait_for(self, condition, timeout=240):
-        wait_while_running(self.process, condition, timeout, self.log)
-
-    def log(self):
-        return (self.home / "launch.log").read_text()
-
 
 @pytest.fixture(scope="module")
 def learning(tmp_path_factory):
     """A finished run in the world diagonal that was fingerprinted half way."""
-    run = Learning(tmp_path_factory.mktemp("objects"))
-    arguments = [f"profile:={TINY}", f"session_root:={run.home}", "session:=tiny", "seed:=3", "stay:=true"]
-    with launched(run.home, "learn.launch", *arguments, variables=run.variables) as process:
-        run.process = process
-        run.wait_for(lambda: run.rows() >= 350)
-        run.answers = []
-        first = threading.Thread(target=lambda: run.answers.append(run.call("/fingerprint")))
-        first.start()
-        run.wait_for(lambda: "view 10 of 20" in run.log())
-        run.before = run.rows()
-        run.answers.append(run.call("/fingerprint"))
-        first.join()
+    home = tmp_path_factory.mktemp("objects")
+    variables = environment(home)
+    arguments = [f"profile:={TINY}", f"session_root:={home}", "session:=tiny", "seed:=3", "stay:=true"]
+    with launched(home, "learn.launch", *arguments, variables=variables) as process:
+        run = Learning(home, "tiny", process, variables)
+        run.wait_for(lambda: run.steps >= 350)
+        run.responses, run.steps_while_paused = [], []
+        calls = []
+        for objects in (1, 2):
+            calls.append(in_a_thread(lambda: run.responses.append(run.call("/fingerprint"))))
+            run.wait_for(lambda objects=objects: run.log.count("view 10 of 20") >= objects)
+            run.steps_while_paused.append(run.steps)
+        for call in calls:
+            call.join()
         run.early = load_fingerprints(run.path)
         run.wait_for((run.path / "summary.yaml").exists)
         yield run
@@ -75,9 +61,9 @@ def learning(tmp_path_factory):
 @pytest.fixture(scope="module")
 def fingerprinted(learning):
     """The finished session with fingerprints of its final model."""
-    answer = learning.call("/fingerprint")
-    assert answer["success"], answer["message"]
-    learning.final_answer = answer
+    response = learning.call("/fingerprint")
+    assert response["success"], response["message"]
+    learning.final_response = response
     return learning
 
 
@@ -88,7 +74,7 @@ def distances(found, path):
 
 
 def test_second_simultaneous_call_is_rejected(learning):
-    refused, served = sorted(learning.answers, key=lambda answer: answer["success"])
+    refused, served = sorted(learning.responses, key=lambda response: response["success"])
     assert served["success"]
     assert len(served["fingerprints"]) == len(learning.early.fingerprints) > 1
     assert not refused["success"]
@@ -96,8 +82,9 @@ def test_second_simultaneous_call_is_rejected(learning):
 
 
 def test_exploration_pauses_during_fingerprinting(learning):
-    assert 350 <= learning.before < 600
-    assert learning.rows() == 600
+    before, after = learning.steps_while_paused
+    assert before == after
+    assert learning.steps == 600
     assert learning.early.updates < 1800
 
 
@@ -110,7 +97,7 @@ def test_later_fingerprints_replace_earlier_ones(fingerprinted):
 
 
 def test_fingerprint_response_has_no_pixels(fingerprinted):
-    assert len(str(fingerprinted.final_answer)) < 3000
+    assert len(str(fingerprinted.final_response)) < 3000
 
 
 def test_one_fingerprint_per_object_and_one_blank(fingerprinted):
@@ -123,16 +110,15 @@ def test_one_fingerprint_per_object_and_one_blank(fingerprinted):
 def test_arm_stop_fails_fingerprinting_and_keeps_stored(fingerprinted):
     before = load_fingerprints(fingerprinted.path).created
     stored = sorted((fingerprinted.path / "fingerprints").rglob("*"))
-    lines = fingerprinted.log().count("view 10 of 20")
-    answers = []
-    call = threading.Thread(target=lambda: answers.append(fingerprinted.call("/fingerprint")))
-    call.start()
-    fingerprinted.wait_for(lambda: fingerprinted.log().count("view 10 of 20") > lines)
+    lines = fingerprinted.log.count("view 10 of 20")
+    responses = []
+    call = in_a_thread(lambda: responses.append(fingerprinted.call("/fingerprint")))
+    fingerprinted.wait_for(lambda: fingerprinted.log.count("view 10 of 20") > lines)
     fingerprinted.call("/arm/stop")
     call.join()
     fingerprinted.call("/arm/recover")
-    assert not answers[0]["success"]
-    assert "the arm was stopped by" in answers[0]["message"]
+    assert not responses[0]["success"]
+    assert "the arm was stopped by" in responses[0]["message"]
     assert load_fingerprints(fingerprinted.path).created == before
     assert sorted((fingerprinted.path / "fingerprints").rglob("*")) == stored
 
@@ -173,13 +159,13 @@ def test_cancelled_action_stops_arm_and_keeps_fingerprints(fingerprinted):
 @pytest.mark.parametrize("cancel", ["kill", "publish"])
 def test_service_call_is_cancelled_by_death_of_caller_or_topic(fingerprinted, cancel):
     before = load_fingerprints(fingerprinted.path).created
-    tens = fingerprinted.log().count("view 10 of 20")
+    tens = fingerprinted.log.count("view 10 of 20")
     command = ["rosservice", "call", "/fingerprint"]
     caller = subprocess.Popen(command, env=fingerprinted.variables, stdout=subprocess.PIPE, text=True)
-    fingerprinted.wait_for(lambda: fingerprinted.log().count("view 10 of 20") > tens)
+    fingerprinted.wait_for(lambda: fingerprinted.log.count("view 10 of 20") > tens)
     if cancel == "kill":
         caller.kill()
-        fingerprinted.wait_for(lambda: "fingerprint failed: cancelled by the caller" in fingerprinted.log())
+        fingerprinted.wait_for(lambda: "fingerprint failed: cancelled by the caller" in fingerprinted.log)
     else:
         publish = ["rostopic", "pub", "-1", "/fingerprint/cancel", "actionlib_msgs/GoalID", "{}"]
         subprocess.run(publish, env=fingerprinted.variables, check=True, timeout=60)

@@ -1,6 +1,5 @@
 """learn.launch robot:=franka against the stand-in for franka_ros, in real time."""
 
-import time
 from itertools import combinations
 
 import numpy as np
@@ -8,20 +7,13 @@ import pytest
 
 from embodied_active_learning.ros.bags.recording import Recording
 from embodied_active_learning.session.session import Session
-from launching import ROOT, environment, launched, started
+from launching import ROOT, Run, environment, launched, started
 from real_time import call, stand_in, truth, with_franka_messages
 
 pytestmark = pytest.mark.ros
 
 STEPS = 30
 PROFILE = ROOT / "test" / "rostest" / "real_time.yaml"
-
-
-def wait_for(condition, log, timeout=90):
-    ends_at = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < ends_at, log.read_text()
-        time.sleep(0.1)
 
 
 def test_run_completes_after_camera_froze(tmp_path):
@@ -35,23 +27,23 @@ def test_run_completes_after_camera_froze(tmp_path):
         "session_root": tmp_path,
         "record": "true",
     }
-    log, path = tmp_path / "launch.log", tmp_path / "run"
     words = [f"{name}:={value}" for name, value in arguments.items()]
     port = variables["ROS_MASTER_URI"].rsplit(":", 1)[1]
     fake = stand_in(tmp_path, variables, f"profile:={PROFILE}", "encoding:=yuv422_yuy2")
     learning = launched(tmp_path, "--wait", "learn.launch", *words, variables=variables)
     with started(["roscore", "-p", port], tmp_path / "core.log", variables), fake, learning as process:
-        wait_for(lambda: _stored(path) >= 10, log)
+        run = Run(tmp_path, "run", process, variables)
+        run.wait_for(lambda: run.steps >= 10)
         call(variables, "/fake_franka/freeze_camera", "{data: true}")
-        wait_for(lambda: "arm held still" in log.read_text(), log)
+        run.wait_for(lambda: "arm held still" in run.log)
         call(variables, "/fake_franka/freeze_camera", "{data: false}")
         process.wait(180)
         motion = truth(variables)
-    said = log.read_text()
-    assert "finished" in said, said
-    assert "shutdown timeout" not in said
-    assert "Traceback" not in said
-    session = Session.open_read_only(path)
+    log = run.log
+    assert "finished" in log, log
+    assert "shutdown timeout" not in log
+    assert "Traceback" not in log
+    session = Session.open_read_only(run.path)
     assert session.config.arm.robot == "franka"
     limits = session.config.arm
     assert motion["reflexes"] == 0
@@ -61,7 +53,7 @@ def test_run_completes_after_camera_froze(tmp_path):
     with session.open_observations() as store:
         seen = store.snapshot()
     assert len(seen.images) == STEPS
-    recorded = list(Recording(path / "bags").observations(session.config))
+    recorded = list(Recording(run.path / "bags").observations(session.config))
     assert [item.image.data for item in recorded] == [image.tobytes() for image in seen.images]
     assert not list(_repeated(seen.images, seen.raw_states)), "a frozen image was stored"
 
@@ -72,8 +64,3 @@ def _repeated(images, states):
         moved = np.abs(states[one] - states[other])
         if np.array_equal(image, again) and (moved > [2e-3, 2e-3, 2e-2]).any():
             yield one, other
-
-
-def _stored(path):
-    table = path / "exploration.csv"
-    return len(table.read_text().splitlines()) - 1 if table.exists() else 0

@@ -1,25 +1,21 @@
 #!/usr/bin/env python3
 """The planner with a faulty arm or camera: it holds the arm still, reports why, stores nothing wrong, and resumes."""
 
-import sys
 import threading
 import unittest
-from pathlib import Path
 
 import numpy as np
 import rospy
+import search_path  # noqa: F401  for the helpers below
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from embodied_active_learning.msg import ArmCause, Observation, PlanarState
-from embodied_active_learning.srv import GetTrajectory, GoToPose, GoToPoseResponse, MoveArm, MoveArmResponse
+from embodied_active_learning.srv import GoToPose, GoToPoseResponse, MoveArm, MoveArmResponse
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger, TriggerResponse
 
 import rostest
 from embodied_active_learning.ros.conversions import image_array, image_message, state_arrays, state_message
-from node_process import NodeProcess, frozen
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
+from node_process import NodeProcess
 from threads import wait_for
 
 TIMEOUT = 60.0
@@ -42,8 +38,6 @@ class FaultyArm:
         self._state, self._velocity = START, np.zeros(3)
         self._reached_at = rospy.Time.now()
         self._lock = threading.Lock()
-        self._ticks = 0
-        self._last_image = None
         self._images = rospy.Publisher("camera/image_raw", Image, queue_size=1)
         self._states = rospy.Publisher("arm/state", PlanarState, queue_size=1)
         rospy.Service("arm/move", MoveArm, self.move)
@@ -85,40 +79,15 @@ class FaultyArm:
     def run(self):
         while not rospy.is_shutdown():
             threading.Event().wait(PERIOD)
-            self._ticks += 1
             with self._lock:
                 state = self._advance()
-            self.publish_state(state_message(state.header.stamp, *state_arrays(state)))
-            self.publish_image(self.image(state))
+            self._states.publish(state)
+            if self.fault != "camera is silent":
+                self._images.publish(self.image(state))
 
-    def publish_state(self, state):
-        if self.fault == "pose is silent":
-            return
-        if self.fault == "pose is not a number":
-            state.x = float("nan")
-        if self.fault == "pose jumps":
-            state.x += 0.1 * (self._ticks % 2)
-        self._states.publish(state)
-
-    def publish_image(self, image):
-        if self.fault == "camera is silent":
-            return
-        if self.fault == "one stamp":
-            image.header.stamp = self._last_image.header.stamp
-        if self.fault == "frozen picture":
-            image.data = self._last_image.data
-        if self.fault == "images from the future":
-            image.header.stamp += rospy.Duration(10.0)
-        if self.fault == "image of one colour":
-            image.data = bytes(len(image.data))
-        if not self.fault:
-            self._last_image = image
-        self._images.publish(image)
-
-    def image(self, state):
+    @staticmethod
+    def image(state):
         """Return the camera's image: an encoding of its pose."""
-        if self.fault == "image of another size":
-            return image_message(state.header.stamp, np.zeros((48, 64, 3), np.uint8))
         picture = np.zeros(SHAPE, np.uint8)
         seen = state_arrays(state)[0].tobytes()
         picture.reshape(-1)[: len(seen)] = np.frombuffer(seen, np.uint8)
@@ -157,6 +126,7 @@ class PlannerFaultsTest(unittest.TestCase):
     @classmethod
     def tearDownClass(cls):
         cls.planner.end()
+        assert cls.residual < 1e-6, "an image was paired with the state of another"
 
     @classmethod
     def on_diagnostics(cls, message):
@@ -202,31 +172,6 @@ class PlannerFaultsTest(unittest.TestCase):
         self.check_fault("camera is silent", "camera timeout: no new image on /camera/image_raw")
         self.wait_for(lambda: self.health["planner"].level == 0, "the error was not cleared")
 
-    def test_camera_repeating_one_stamp(self):
-        self.check_fault("one stamp", "images on /camera/image_raw repeat one stamp")
-
-    def test_camera_repeating_one_image(self):
-        self.check_fault("frozen picture", "camera frozen: images on /camera/image_raw have been byte-identical")
-
-    def test_images_of_one_colour(self):
-        self.check_fault("image of one colour", "has a single colour, [0, 0, 0]")
-
-    def test_images_from_the_future(self):
-        words = "s in the future: synchronise the computers' clocks"
-        self.check_fault("images from the future", words)
-
-    def test_images_of_another_size(self):
-        self.check_fault("image of another size", "image is 64 x 48 pixels")
-
-    def test_silent_pose(self):
-        self.check_fault("pose is silent", "no state on /arm/state around the image's stamp")
-
-    def test_jumping_pose(self):
-        self.check_fault("pose jumps", "pose jump on /arm/state: 0.1")
-
-    def test_non_finite_pose(self):
-        self.check_fault("pose is not a number", "invalid state on /arm/state: non-finite values")
-
     def test_stopped_arm_awaited_beyond_retries(self):
         self.check_fault("stopped", "the arm was stopped by /operator", commands=6)
 
@@ -250,9 +195,9 @@ class PlannerFaultsTest(unittest.TestCase):
     def call(self, name):
         return rospy.ServiceProxy(name, Trigger)()
 
-    def check_pause(self, message="paused"):
+    def check_pause(self):
         response = self.call("planner/pause")
-        self.assertEqual((response.success, response.message), (True, message))
+        self.assertEqual((response.success, response.message), (True, "paused"))
         self.assertEqual(self.arm.last_call, "stop")
         commands = len(self.arm.commands)
         self.wait_for(lambda: self.health["planner"].message.startswith(PAUSED), "the planner did not pause")
@@ -266,37 +211,12 @@ class PlannerFaultsTest(unittest.TestCase):
         self.wait_for_progress()
         np.testing.assert_array_equal(self.arm.commands[resumed_at], 0.0, "the arm must hold still first")
 
-    def test_paused_planner_does_not_move_until_resumed(self):
-        self.check_pause()
-        self.check_resume()
-
     def test_pause_responds_after_current_step(self):
         self.arm.fault = "slow"
         count = len(self.arm.commands)
         self.wait_for(lambda: len(self.arm.commands) > count, "no step began")
         self.check_pause()
         self.arm.fault = ""
-        self.check_resume()
-
-    def test_pause_and_resume_report_whether_they_changed_state(self):
-        response = self.call("planner/resume")
-        self.assertEqual((response.success, response.message), (True, "was not paused"))
-        self.check_pause()
-        response = self.call("planner/pause")
-        self.assertEqual((response.success, response.message), (True, "already paused"))
-        self.check_resume()
-
-    def test_planner_with_fault_can_be_paused(self):
-        self.arm.fault = "camera is silent"
-        self.wait_for(lambda: self.health["planner"].level > 0, "the fault was not reported")
-        self.check_pause()
-        self.arm.fault = ""
-        self.check_resume()
-
-    def test_planner_waiting_for_trainer_can_be_paused(self):
-        with frozen("/trainer"):
-            threading.Event().wait(1.0)
-            self.check_pause()
         self.check_resume()
 
     def test_pause_unconfirmed_by_arm_reported_and_done_later(self):
@@ -311,14 +231,6 @@ class PlannerFaultsTest(unittest.TestCase):
         self.arm.released.set()
         self.wait_for(lambda: self.arm.last_call == "stop", "the arm was not stopped")
         self.check_resume()
-
-    def test_z_stored_states_are_those_of_the_arm(self):
-        states = np.array(rospy.ServiceProxy("trainer/trajectory", GetTrajectory)().states).reshape(-1, 3)
-        self.assertTrue(np.all(np.isfinite(states)))
-        self.assertGreater(len(states), 10)
-        self.assertLess(self.residual, 1e-6, "an image was paired with the state of another")
-        observed, _ = state_arrays(self.last.state)
-        self.assertTrue(np.any(np.all(np.isclose(states, observed), axis=1)))
 
 
 if __name__ == "__main__":

@@ -4,26 +4,22 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Callable, Dict, Iterator, List, NamedTuple
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
-
 from embodied_active_learning.session.checkpoints import load_model
 from embodied_active_learning.session.observations import DATA_FILE
 from embodied_active_learning.session.paths import SessionPaths
 from embodied_active_learning.session.session import Session
-from launching import ROOT, environment, processes_of, started
+from launching import ROOT, environment, is_finished, processes_of, started
 
 EVERYTHING = "everything"
 INTERRUPTION = "interrupt"
 FREEZE = "frozen planner"
 TABLES = ("exploration.csv", "training.csv", "evaluation.csv")
-PROFILE = ROOT / "test" / "faults" / "crashes.yaml"
+PROFILE = ROOT / "test" / "system" / "crashes.yaml"
 NODES = ("ergodic_planner", "fingerprinter", "monitor", "pybullet_arm", "trainer")
 STEPS_BETWEEN = (0, 1, 2, 4)  # steps between two kills: some come while nodes are still starting
 MAX_WAIT = 0.4  # s after these steps
@@ -87,12 +83,6 @@ def outcome(path: Path) -> Dict[str, bytes]:
     weights, _ = load_model(SessionPaths(path).model)
     tables = {name: (path / name).read_bytes() for name in TABLES}
     return {**tables, **{name: tensor.numpy().tobytes() for name, tensor in weights.items()}}
-
-
-def is_finished(path: Path) -> bool:
-    """Return whether a session has all files of a complete run."""
-    check = [sys.executable, ROOT / "tools" / "check_session.py", "learned", path]
-    return subprocess.run(check, check=False, capture_output=True).returncode == 0
 
 
 def crash(
