@@ -254,11 +254,6 @@ def run_python(program, **variables):
     subprocess.run([sys.executable, "-c", program], check=True, env=environment)
 
 
-def test_figures_do_not_import_pyplot():
-    module = "embodied_active_learning.figures.session_figures"
-    run_python(f"import sys, {module}; sys.exit('matplotlib.pyplot' in sys.modules)")
-
-
 def test_figures_ignore_user_matplotlib_settings(tmp_path):
     """The user's matplotlibrc asks for LaTeX, which is not installed, and MPLBACKEND does not exist."""
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
