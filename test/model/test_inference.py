@@ -101,17 +101,6 @@ def test_native_inference_is_thread_safe():
         assert all(torch.equal(*pair) for pair in zip(both, expected[index % 6]))
 
 
-@needs_kernels
-def test_scratch_memory_is_one_group_per_thread():
-    tested = make_inference(*GEOMETRIES[0])
-    outputs(tested, *make(*GEOMETRIES[0], 400))
-    spare = tested.convolutions._spare
-    assert spare
-    tensors = [tensor for every in spare.values() for maps in every for tensor in maps.tensors.values()]
-    assert {(tensor.dim(), tensor.shape[-1]) for tensor in tensors} == {(4, KERNELS.lanes)}
-    assert all(len(every) <= torch.get_num_threads() for every in spare.values())
-
-
 def test_torch_inference_splits_many_images_into_chunks():
     network, images, features = make(*GEOMETRIES[0], 150)
     sizes = []
