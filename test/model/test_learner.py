@@ -25,6 +25,9 @@ SMALL = {
 }
 
 
+LARGE_GENERATOR = {"bit_generator": "PCG64", "state": {"state": 2**200, "inc": 1}, "has_uint32": 0, "uinteger": 0}
+
+
 class GrowingStore:
     """Observations in memory; every access copies the arrays, as when the store has grown."""
 
@@ -160,10 +163,20 @@ def test_unknown_tensor_is_refused_by_name():
 
 @pytest.mark.parametrize(
     ("counter", "value"),
-    [("updates", "many"), ("replica_updates", None), ("schedule", {"window": [1]}), ("generator", {})],
+    [
+        ("updates", "many"),
+        ("skipped", {"a": 1}),
+        ("rollbacks", [1]),
+        ("replica_updates", None),
+        ("previous_replica_updates", None),
+        *(("schedule", value) for value in ({"window": [1]}, None, "text")),
+        *(("generator", value) for value in ({}, [], None, {"bit_generator": "PCG64"}, LARGE_GENERATOR)),
+    ],
 )
 def test_invalid_counter_leaves_learner_unchanged(counter, value):
     learner, other = make(), make(seed=9)
+    other.update()
+    other.refresh()
     other.update()
     tensors, counters = other.state_dict()
     before = learner.state_dict()
