@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from embodied_active_learning.errors import CorruptFileError, SessionError
@@ -135,7 +135,6 @@ def test_second_table_writer_is_rejected(tmp_path):
     Table(path, NAMES).close()
 
 
-@settings(max_examples=30)
 @given(values=st.lists(st.floats(), max_size=8))
 def test_any_numbers_round_trip(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("table") / "t.csv"
