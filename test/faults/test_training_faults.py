@@ -1,4 +1,4 @@
-"""Training with non-finite losses, and training that is stopped and resumed: finite weights, one result."""
+"""Training with non-finite losses, and training that is stopped and resumed with the same result."""
 
 import dataclasses
 import shutil
@@ -119,7 +119,7 @@ def whole(tmp_path_factory):
 
 
 def test_repeated_nan_loss_rolls_back_and_training_continues(tmp_path, failing, whole):
-    """With other batches, in the hope that they do not fail again."""
+    """It continues with other batches."""
     failing(range(25, 25 + ATTEMPTS))
     run = TrainingRun(configured(tmp_path))
     finish(run)
@@ -280,8 +280,8 @@ def test_moments_that_are_not_finite_are_not_saved(tmp_path):
     with training(run) as (_, _, errors):
         learn(run, 6)
         run._learner.join()
-        part = run._learner._optimiser.parts[1]
-        next(iter(part.state.values()))["exp_avg_sq"].fill_(float("inf"))
+        moments = run._learner.moments()
+        run._learner.load_moments(moments.fill_(float("inf")))
         hand_over(run, range(6, STEPS))
         run.log_std(np.zeros((1, 3)), 3 * (STEPS - 4), TIMEOUT)
     assert not errors

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import embodied_active_learning as eal
-from embodied_active_learning.errors import ConfigError, CorruptFileError, SessionError
+from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.objects.stability import Measurement
 from embodied_active_learning.pipeline import learning, stopping
 from embodied_active_learning.pipeline.learning import learn, ros_seconds
@@ -175,6 +175,12 @@ def test_fingerprinting_a_real_session_needs_stored_views(fingerprinted, tmp_pat
         eal.fingerprint(path)
     assert load_fingerprints(path).created == before
     assert eal.fingerprint(path, from_stored=True, views=2).session == "real"
+
+
+def test_too_few_stored_views_are_refused(learned):
+    expected = r"(object|blank)-1: too few stored views: \d+ of 50 \(fingerprint/views\) within 0.1 m"
+    with pytest.raises(ObservationError, match=expected):
+        eal.fingerprint(learned[0], from_stored=True, views=50)
 
 
 def test_identification_accepts_any_form_of_sessions(fingerprinted):
