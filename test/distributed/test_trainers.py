@@ -255,7 +255,7 @@ def test_killed_and_frozen_workers_are_replaced(tmp_path):
     assert table(run, "rounds")["trainers"].tolist()[-1] == 2
 
 
-def test_failed_start_of_a_worker_kills_the_others_and_closes_the_run(tmp_path, monkeypatch):
+def test_failed_start_of_a_worker_ends_others_and_run(tmp_path, monkeypatch):
     killed, children = [], [SimpleNamespace(wait=lambda: None, kill=lambda: killed.append(1))]
 
     def start(_command):
