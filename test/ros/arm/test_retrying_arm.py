@@ -406,17 +406,16 @@ def test_late_stop_raises_and_happens_later(arm, retrying):
 
 def test_stop_during_pause_follows_command_in_progress(arm, retrying, paused):
     retrying.execute(FORWARD)
-    send_stop, had_returned = arm.stop, []
-    arm.stop = lambda: (had_returned.append(arm.responds.is_set()), send_stop())
     arm.responds.clear()
     step = in_a_thread(retrying.execute, FORWARD)
     wait_for(lambda: len(arm.calls) == 2)
     retrying.pause("a call")
-    stop = in_a_thread(retrying.stop)
+    with pytest.raises(CommandError, match="not responded"):
+        retrying.stop(0.1)
+    assert len(arm.calls) == 2, "the command in progress has not returned"
     arm.responds.set()
     step.join(10.0)
-    stop.join(10.0)
-    assert had_returned == [True], "the command in progress"
+    wait_for(lambda: not retrying.in_control)
     later = in_a_thread(retrying.execute, FORWARD)
     assert paused.wait(10.0)
     assert arm.calls[2:] == [("stop",)]
