@@ -2,14 +2,16 @@
 
 import copy
 import functools
+import os
 
 import pytest
 from hypothesis import settings
 
 from embodied_active_learning import files
 
-settings.register_profile("untimed", deadline=None)  # no test depends on timing
-settings.load_profile("untimed")
+for _profile, _examples in (("quick", 30), ("thorough", 500)):
+    settings.register_profile(_profile, deadline=None, max_examples=_examples)  # no test depends on timing
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -23,11 +23,6 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
     [
         ({"steps": 100}, "unknown section steps: did you mean exploration/steps?"),
         ({"exploraton": {}}, "unknown section exploraton: did you mean exploration?"),
-        ({"exploration": {"step": 5}}, "unknown key exploration/step: did you mean exploration/steps?"),
-        ({"exploration": {"steps": "many"}}, "exploration/steps is 'many': expected a whole number"),
-        ({"exploration": {"steps": 2.5}}, "exploration/steps is 2.5: expected a whole number"),
-        ({"exploration": {"steps": float("nan")}}, "exploration/steps is nan: expected a whole number"),
-        ({"exploration": {"steps": True}}, "exploration/steps is True: expected a whole number"),
         ({"exploration": {"steps": -1}}, "exploration/steps is -1: expected a whole number from 1 to 1e+06"),
         (
             {"exploration": {"explorer": "ergodyc"}},
@@ -37,19 +32,12 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
             {"workspace": {"x": [0.6, 0.3]}},
             "workspace/x is [0.6, 0.3]: expected a finite lower limit below the upper one",
         ),
-        ({"workspace": {"x": [0.1, 0.2, 0.3]}}, "workspace/x has 3 numbers: expected 2"),
-        ({"workspace": {"x": 0.3}}, "workspace/x is 0.3: expected a list of 2 numbers"),
-        ({"planner": {"horizon": 0}}, "planner/horizon is 0: expected a whole number from 2 to 200"),
-        ({"planner": {"velocity_limits": [1.0]}}, "planner/velocity_limits has 1 numbers: expected 3"),
-        ({"planner": {"normalise_kernels": 1}}, "planner/normalise_kernels is 1: expected true or false"),
         ({"camera": {"latency": 0.05}}, "camera/latency is 0.05 s, but the simulated camera has none"),
         ({"simulation": {"start": [0.0, 0.0, 0.0]}}, "simulation/start [0.0, 0.0, 0.0] is outside the workspace"),
         ({"exploration": {"steps": 20}}, "exploration/steps is 20, fewer than training/first_update_at (64)"),
         ({"training": {"batch_size": 100}}, "training/batch_size is larger than training/first_update_at"),
-        ({"training": None}, "section training is None: expected keys and values"),
         ({"model": {"channels": [10]}}, "model: channels, kernels and strides differ in length"),
         ({"model": {"kernels": [1, 3, 5]}}, "model: stride 2 is larger than kernel 1: the convolution skips pixels"),
-        (["training"], "the content is ['training']: expected keys and values"),
     ],
 )
 def test_invalid_configuration_is_refused_with_key_and_range(values, expected):
@@ -65,15 +53,6 @@ def test_configuration_survives_yaml_round_trip():
 
 def test_defaults_are_valid():
     assert Config.from_dict(Config().to_dict()) == Config()
-
-
-def test_profile_with_python_objects_is_refused_unexecuted(tmp_path):
-    canary = tmp_path / "canary"
-    profile = tmp_path / "evil.yaml"
-    profile.write_text(f"exploration: !!python/object/apply:os.system ['touch {canary}']\n")
-    with pytest.raises(ConfigError, match="is not plain YAML"):
-        load_profile(profile)
-    assert not canary.exists()
 
 
 @pytest.mark.parametrize("content", ["[1, 2]", "just words", b"\xff\xfe\x00"])
@@ -143,22 +122,6 @@ def test_planner_awaits_updates_of_previous_observations(observations):
 
 def test_every_setting_has_a_meaning():
     assert all(item.metadata["meaning"] for _, item in settings(Config))
-
-
-def test_settings_that_stored_data_depend_on_are_fixed():
-    fixed = {}
-    for section, item in settings(Config):
-        if item.metadata["fixed"]:
-            fixed.setdefault(section, []).append(item.name)
-    assert fixed == {
-        "workspace": ["x", "y", "theta"],
-        "camera": ["width", "height", "field_of_view", "distance"],
-        "arm": ["robot"],
-        "simulation": ["world"],
-        "franka": ["table_height", "camera_position", "camera_rotation"],
-        "model": ["latent_size", "hidden_sizes", "channels", "kernels", "strides"],
-        "exploration": ["explorer", "seed"],
-    }
 
 
 def test_generated_files_are_up_to_date():

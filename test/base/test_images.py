@@ -6,7 +6,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from embodied_active_learning.errors import ObservationError
@@ -195,7 +195,6 @@ def test_random_raw_bytes_give_image_or_error(encoding, height, width, step, sli
     assert picture.dtype == np.uint8
 
 
-@settings(max_examples=300)
 @given(st.sampled_from([jpeg(colours(), 60), png(colours(12, 16))]), st.data())
 def test_damaged_compressed_image_gives_image_or_error(whole, data):
     damaged = bytearray(whole)

@@ -59,7 +59,6 @@ def follow(limits, pose, velocity, requested, period, ticks):
     legs=st.lists(st.tuples(requested_velocities, st.integers(1, 60)), max_size=6),
     data=st.data(),
 )
-@settings(max_examples=150)
 def test_no_request_exceeds_a_limit(case, legs, data):
     limits, tops, accelerations, pose = case
     period = data.draw(st.floats(1e-3, 0.1))
@@ -87,7 +86,6 @@ def test_no_request_exceeds_a_limit(case, legs, data):
     requested=requested_velocities,
     period=st.floats(1e-6, 1.0),
 )
-@settings(max_examples=500)
 def test_velocity_does_not_jump_from_absurd_state(pose, previous, requested, period):
     limits = MotionLimits.from_config(CONFIG)
     velocity = np.array(limits.next_velocity(pose, previous, requested, period).velocity)
@@ -155,7 +153,6 @@ def test_only_speed_limit_and_border_count_as_cut(limits):
 
 
 @given(velocity=requested_velocities)
-@settings(max_examples=300)
 def test_velocity_above_limits_keeps_direction(velocity):
     slowed = MotionLimits.from_config(CONFIG).clamp_speed(velocity)
     if np.all(np.abs(velocity) <= TOP):
@@ -169,7 +166,6 @@ def test_velocity_above_limits_keeps_direction(velocity):
 
 
 @given(starts=st.tuples(*(st.floats(-1.0, 1.0),) * 3), goals=st.tuples(*(st.floats(-1.0, 1.0),) * 3))
-@settings(max_examples=60)
 def test_approach_arrives_without_overshoot(starts, goals):
     limits = MotionLimits.from_config(CONFIG)
     pose, target = BOX.denormalise(np.array(starts)), BOX.denormalise(np.array(goals))

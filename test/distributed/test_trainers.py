@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+import training_thread
 from embodied_active_learning.config import Config
 from embodied_active_learning.distributed import remote_worker
 from embodied_active_learning.distributed.link import LinkError, connect_store
@@ -25,7 +26,7 @@ from embodied_active_learning.pipeline.learning import BackgroundTraining
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.session import Session
 from tiny import STEPS, TINY
-from training_thread import TIMEOUT, training
+from training_thread import TIMEOUT, hand_over, training
 
 HOST = "127.0.0.1"
 START = 300.0  # s, for processes on a busy machine
@@ -42,27 +43,19 @@ def threads():
 
 def configured(root, trainers=3, updates_per_round=4, worker_timeout=TIMEOUT, **session):
     several = {"trainers": trainers, "updates_per_round": updates_per_round, "worker_timeout": worker_timeout}
-    return Config.from_dict(
-        {
-            **TINY,
-            "training": {**TINY["training"], **several, "threads": 1},
-            "session": {"name": "run", "root": str(root), **session},
-        }
-    )
-
-
-def hand_over(run, indices):
-    for index in indices:
-        random = np.random.default_rng(index)
-        state = random.uniform([0.33, -0.14, -1.9], [0.62, 0.14, 1.9])
-        run.observe(index, 0.2 * index, state, random.integers(0, 256, (24, 24, 3), dtype=np.uint8))
+    training = {**TINY["training"], **several, "threads": 1, "updates_per_observation": 3}
+    return training_thread.configured(root, {**TINY, "training": training}, **session)
 
 
 def test_header_round_trip_keeps_types():
-    header = Header(ROUND, 1, 2, 3, 4, 5, 6, 1, 0.5, 2.0)
+    header = Header(ROUND, start=3, end=2**40, step=4, slot=2, rollbacks=1, with_moments=1, beta=1e-4, gamma=0.1)
     received = Header.from_tensor(header.tensor())
     assert received == header
     assert list(map(type, received)) == list(map(type, header))
+
+
+def test_header_lists_the_updates_of_its_trainer():
+    assert list(Header(ROUND, start=3, end=12, step=4).updates) == [3, 7, 11]
 
 
 @contextmanager
@@ -262,7 +255,7 @@ def test_killed_and_frozen_workers_are_replaced(tmp_path):
     assert table(run, "rounds")["trainers"].tolist()[-1] == 2
 
 
-def test_failed_start_of_a_worker_kills_the_others_and_closes_the_run(tmp_path, monkeypatch):
+def test_failed_start_of_a_worker_ends_others_and_run(tmp_path, monkeypatch):
     killed, children = [], [SimpleNamespace(wait=lambda: None, kill=lambda: killed.append(1))]
 
     def start(_command):
@@ -313,9 +306,3 @@ def test_unreachable_trainer_is_an_error():
     for address in ("127.0.0.1:9", "nonsense", "127.0.0.1:port"):
         with pytest.raises(LinkError):
             connect_store(address)
-
-
-def test_header_survives_its_tensor():
-    header = Header(ROUND, start=3, end=2**40, step=4, slot=2, rollbacks=1, with_moments=1, beta=1e-4, gamma=0.1)
-    assert Header.from_tensor(header.tensor()) == header
-    assert list(Header(ROUND, start=3, end=12, step=4).updates) == [3, 7, 11]

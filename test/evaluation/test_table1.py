@@ -7,15 +7,15 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.evaluation import table1
 from embodied_active_learning.evaluation.table1 import keep_counted, successes, table_lines
-from embodied_active_learning.objects.decision import Decision
+from sample_decisions import make_decision
 
 KINDS = {"object-1": "duck", "blank-1": "blank"}
 OBJECTS = [("duck", 0.4, 0.0), ("duck", 0.6, 0.1), ("star", 0.5, -0.1)]
 
 
 def decision(name, x, y, belief, found=True):
-    outcome, kind = ("found" if found else "not here"), name.split("-")[0]
-    return Decision("a", name, kind, outcome, int(found), np.array([x, y, 0.0]), 1.0, 0.05, 0.0, 5, belief, 0.1, "")
+    kind = name.split("-")[0]
+    return make_decision(fingerprint=name, kind=kind, instance=int(found), pose=(x, y, 0.0), belief_mean=belief)
 
 
 def test_each_object_of_a_kind_is_a_test():

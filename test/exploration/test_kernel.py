@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -27,7 +27,6 @@ def test_single_precision_kernel_close_to_exact(samples, state):
     np.testing.assert_allclose(CoverageKernel(0.0576)(samples, state[np.newaxis])[0], exact, rtol=5e-5, atol=1e-30)
 
 
-@settings(max_examples=30)
 @given(STATE, st.sampled_from([1.0, 1.15]))
 def test_mass_equals_integral_of_gaussian_over_box(state, box):
     edges = np.linspace(-box, box, 4001)

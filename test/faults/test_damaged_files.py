@@ -1,4 +1,4 @@
-"""Whatever has happened to a file: what was written comes back, or an error that names the file, and nothing is run."""
+"""Damaged and hostile files: reading returns what was written or an error that names the file, and executes nothing."""
 
 from __future__ import annotations
 
@@ -36,6 +36,7 @@ RECORDS = "observations/observations.bin"
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.path)
 TENSORS = [kind for kind in KINDS if kind.path.endswith(".safetensors")]
 TENSOR_PATHS = {kind.path for kind in TENSORS}
+DONORS = ("config.yaml", RECORDS, "training.csv", "model.safetensors", "user/table.png")
 YAML_FILES = [kind for kind in KINDS if kind.path.endswith(".yaml")]
 
 
@@ -51,7 +52,7 @@ def originals(sample):
 
 @pytest.fixture(scope="module")
 def canary(tmp_path_factory):
-    """A file that is there as soon as something was run; that it is not is checked when all is over."""
+    """Path of a file that executed content creates; checked after all tests."""
     path = tmp_path_factory.mktemp("canary") / "alive"
     yield path
     assert not path.exists()
@@ -59,7 +60,7 @@ def canary(tmp_path_factory):
 
 @contextmanager
 def replaced(path: Path):
-    """The file out of the way for the time of the block."""
+    """Move the file away during the block."""
     kept = path.with_name(f"{path.name}.kept")
     path.rename(kept)
     try:
@@ -73,7 +74,7 @@ def replaced(path: Path):
 
 
 def refusal(kind, sample):
-    """The message that the file is refused with, which names it and the remedy."""
+    """Return the error message of reading the file; it names the file and the remedy."""
     with pytest.raises(kind.error) as refused:
         kind.read(sample)
     message = str(refused.value)
@@ -84,28 +85,23 @@ def refusal(kind, sample):
 
 
 def read_or_refused(kind, sample):
-    """What is read, and an empty text; or None, and the message of a refusal that names the file."""
+    """Return what is read and an empty text, or None and the error message, which names the file."""
     try:
         return kind.read(sample), ""
     except (kind.error, SessionError) as error:
         message = str(error)
     # A contradiction between values of a profile and others names only the keys.
-    assert Path(kind.path).name in message or kind.path == "people/profile.yaml"
+    assert Path(kind.path).name in message or kind.path == "user/profile.yaml"
     return None, message
 
 
 def is_believable(kind, found, original):
-    """Whether what was read is what was written: all of it, or of what grows line by line a beginning."""
+    """Return whether the result is what was written; a file of records may have lost its last ones."""
     if found is None or found == original:
         return True
     if kind.path == RECORDS:
         return found == original[: len(found)]
     return not kind.checked
-
-
-@EVERY_KIND
-def test_every_file_round_trip(kind, sample, originals):
-    assert kind.read(sample) == originals[kind.path]
 
 
 @EVERY_KIND
@@ -133,7 +129,7 @@ def test_flipped_bit_is_detected_or_harmless(kind, sample, originals):
             assert is_believable(kind, found, originals[kind.path]), position
 
 
-@settings(max_examples=60, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_random_bytes_are_rejected_by_name(sample, originals, data):
     kind = data.draw(st.sampled_from(KINDS))
@@ -148,7 +144,7 @@ def test_random_bytes_are_rejected_by_name(sample, originals, data):
 @EVERY_KIND
 def test_file_of_other_kind_is_rejected(kind, sample):
     path = sample / kind.path
-    contents = {other.path: (sample / other.path).read_bytes() for other in KINDS}
+    contents = {name: (sample / name).read_bytes() for name in DONORS}
     with replaced(path):
         for name, content in contents.items():
             path.write_bytes(content)
@@ -177,7 +173,7 @@ def test_special_file_is_rejected_unopened(kind, sample, tmp_path):
 
 
 def bind(path, folder):
-    """A socket; its own path would be too long."""
+    """Create a socket; its own path would be too long."""
     with socket.socket(socket.AF_UNIX) as stream:
         os.chdir(folder)
         stream.bind("s")
@@ -224,7 +220,7 @@ def test_link_out_of_session_is_not_followed(kind, sample, tmp_path, originals):
     shutil.copy(path, outside)
     with replaced(path):
         path.symlink_to(outside)
-        if kind.path.startswith("people"):
+        if kind.path.startswith("user"):
             assert kind.read(sample) == originals[kind.path]
         else:
             refusal(kind, sample)
@@ -235,7 +231,7 @@ def test_link_out_of_session_is_not_followed(kind, sample, tmp_path, originals):
 
 
 class Payload:
-    """A pickle that makes a file when it is loaded."""
+    """A pickle that creates a file when it is loaded."""
 
     def __init__(self, path):
         self.path = path
@@ -245,7 +241,7 @@ class Payload:
 
 
 def malicious(kind, path, canary):
-    """Files under the name of another kind that would run something in careless readers."""
+    """Yield contents that an unsafe reader would execute."""
     yield pickle.dumps(Payload(canary))
     torch.save(Payload(canary), path)
     yield path.read_bytes()
@@ -323,7 +319,7 @@ def test_plain_yaml_round_trip(value):
 
 
 @given(st.text(alphabet="ab:-[]{}&*!?|>'\"%@#<=\n ,.0123456789~", max_size=60))
-@settings(max_examples=300, derandomize=True)
+@settings(derandomize=True)
 def test_any_yaml_is_parsed_or_rejected(text):
     with contextlib.suppress(ValueError):
         repr(parse_yaml(text))
@@ -387,7 +383,7 @@ def safetensors_header(path):
 
 
 def resealed(path, arrays, facts):
-    """Change arrays and facts of a file, None removes one; with a checksum that is right."""
+    """Change arrays and facts of a file (None removes one) and write a valid checksum."""
     kind = json.loads(safetensors_header(path)["__metadata__"]["header"])["format"].rpartition("/")[2]
     found, stored_facts = read_arrays(path, kind)
     whole = {name: array for name, array in {**found, **arrays}.items() if array is not None}
@@ -467,24 +463,16 @@ def test_link_is_not_written_through(tmp_path, name):
     assert outside.read_text() == "precious"
 
 
-def test_named_pipe_as_lock_does_not_block(tmp_path):
-    path = make_sample(tmp_path)
-    (path / ".lock").unlink()
-    os.mkfifo(path / ".lock")
-    with pytest.raises(SessionError, match=r"\.lock cannot be locked \(it is a named pipe\)"):
-        Session.open_for_writing(configuration(tmp_path, resume=True))
-
-
 @pytest.mark.parametrize("encoding", ["ebcdic-none", "utf-7", "utf-16", "rot13"])
 def test_xml_in_other_encoding_is_rejected(sample, encoding):
-    kind, path = next(kind for kind in KINDS if kind.path == "people/thing.urdf"), sample / "people/thing.urdf"
+    kind, path = next(kind for kind in KINDS if kind.path == "user/thing.urdf"), sample / "user/thing.urdf"
     with replaced(path):
         path.write_text(f'<?xml version="1.0" encoding="{encoding}"?><robot/>')
         refusal(kind, sample)
 
 
 def test_xml_entity_expansion_is_rejected(sample):
-    kind, path = next(kind for kind in KINDS if kind.path == "people/thing.urdf"), sample / "people/thing.urdf"
+    kind, path = next(kind for kind in KINDS if kind.path == "user/thing.urdf"), sample / "user/thing.urdf"
     entities = "".join(f'<!ENTITY e{n} "{f"&e{n - 1};" * 10}">' for n in range(1, 30))
     with replaced(path):
         path.write_text(f'<!DOCTYPE robot [<!ENTITY e0 "laugh">{entities}]><robot name="&e29;"/>')

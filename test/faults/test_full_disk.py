@@ -1,4 +1,4 @@
-"""A disk that is full or read-only: a named error, and everything that was acknowledged before is there and loads."""
+"""A full or read-only disk: a clear error, and everything that was acknowledged before loads."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from embodied_active_learning.session.summary import read_summary, write_summary
 from sample_session import KINDS, NAME, configuration, fingerprints, make_sample, network, observation
 from small_disk import SmallDisk, enter_own_mounts
 
-STORED = [kind for kind in KINDS if not kind.path.startswith("people")]
+STORED = [kind for kind in KINDS if not kind.path.startswith("user")]
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +78,10 @@ def write_fingerprints(session):
 
 def write_identification(session):
     config = session.config
-    sought = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)
+    search = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)
     _, _, state, image = observation(9)
-    sought.observe(state[None], image[None])
-    save_identification(session.paths.path, "second", sought, sought.decide(state[None], image[None]))
+    search.observe(state[None], image[None])
+    save_identification(session.paths.path, "second", search, search.decide(state[None], image[None]))
 
 
 def write_figure(session):
@@ -105,7 +105,7 @@ WRITERS = list(KEPT)
 
 
 def refusal_of(write, session):
-    """The message that writing is refused with; empty when it is not."""
+    """Return the error message of writing; empty if it succeeds."""
     try:
         write(session)
     except SessionError as error:
@@ -159,7 +159,7 @@ def test_observations_and_rows_survive_full_disk(small_disk):
 
 
 def count_until_refused(append, message):
-    """How many can be appended before that is refused with a message."""
+    """Return how many can be appended before an error."""
     for number in range(10_000):
         refusal = refusal_of(append, number)
         if refusal:
@@ -191,7 +191,7 @@ def test_training_resumes_after_full_disk(small_disk):
 
 
 def train(config, on_update=lambda report: None):
-    """Make all updates of a run whose observations come at once. -> updates made."""
+    """Make all updates of a run whose observations come at once; return their number."""
     run = TrainingRun(config)
     try:
         for index in range(config.exploration.steps):

@@ -1,4 +1,4 @@
-"""kill -9 at any moment: everything that was acknowledged is there and whole, and what was half written is gone."""
+"""kill -9 at any moment: everything that was acknowledged is complete, and partly written files are removed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SCRIPT = Path(killed_writer.__file__)
 
 
 class Writers:
-    """Writers that live for a moment each, and what they reported as written."""
+    """Short-lived writers, and what they reported as written."""
 
     def __init__(self) -> None:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -61,7 +61,7 @@ class Writers:
             pass
 
     def die_at_byte(self, part: str, byte: int) -> bool:
-        """Let one write a part until it goes beyond a byte of a file. -> whether that has killed it."""
+        """Let a writer write a part until it exceeds a byte of a file; return whether that killed it."""
         self._begin(part, str(byte))
         finished = False
         while self._note(*self._read()):
@@ -74,7 +74,7 @@ class Writers:
         return self._expect("writer")
 
     def _note(self, what: str, number: int) -> bool:
-        """Whether the line was an acknowledgement, which is kept in mind."""
+        """Record an acknowledgement; return whether the line was one."""
         if what != "ended":
             self.acknowledged[what].add(number)
         return what != "ended"
@@ -135,7 +135,7 @@ def test_file_is_old_or_new_after_death_at_any_byte(tmp_path, writers, part):
 
 
 def check(path, acknowledged):
-    """Whether every part is at least as new as was acknowledged, and whole."""
+    """Check that every part is complete and at least as new as was acknowledged."""
     if not (path / "config.yaml").exists():
         assert not any(acknowledged.values())
         return
@@ -168,7 +168,7 @@ def check(path, acknowledged):
 
 
 def open_and_write_everything(root):
-    """What the next run does, which clears away what was left half written."""
+    """Do what the next run does, which removes partly written files."""
     with Session.open_for_writing(configuration(root, resume=True)) as session:
         last = load_latest(session.paths.checkpoints)
         save_checkpoint(session.paths.checkpoints, last.updates + 1, last.observations, last.tensors, last.counters)

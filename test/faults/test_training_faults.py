@@ -1,4 +1,4 @@
-"""Training with non-finite losses, and training that is stopped and resumed: finite weights, one result."""
+"""Training with non-finite losses, and training that is stopped and resumed with the same result."""
 
 import dataclasses
 import shutil
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from embodied_active_learning.config import Config
+import training_thread
 from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model import learner as learner_module
 from embodied_active_learning.model.learner import ATTEMPTS
@@ -25,22 +25,12 @@ STEPS = 24
 
 
 def configured(root, **session):
-    return Config.from_dict(
-        {
-            "camera": {"width": 45, "height": 45},
-            "model": {"hidden_sizes": [64, 32]},
-            "training": {
-                "batch_size": 4,
-                "first_update_at": 4,
-                "updates_per_observation": 3,
-                "evaluate_every": 7,
-                "checkpoint_every": 10,
-            },
-            "objective": {"schedule_every": 5},
-            "exploration": {"steps": STEPS, "samples": 50, "fresh_samples": 5},
-            "session": {"name": "run", "root": str(root), **session},
-        }
-    )
+    changes = {
+        "training": {"updates_per_observation": 3, "evaluate_every": 7, "checkpoint_every": 10},
+        "objective": {"schedule_every": 5},
+        "exploration": {"steps": STEPS},
+    }
+    return training_thread.configured(root, changes, **session)
 
 
 def learn(run, last):
@@ -128,17 +118,8 @@ def whole(tmp_path_factory):
     return Whole(run, finish(run), run._learner.state_dict())
 
 
-def test_nan_loss_skips_the_batch_and_is_counted(tmp_path, failing):
-    failing([3, 4, 17])
-    run = TrainingRun(configured(tmp_path))
-    finish(run)
-    assert (run.skipped, run.rollbacks) == (3, 0)
-    assert run.updates == 3 * STEPS
-    assert all(torch.isfinite(weight).all() for weight in load_model(run.folder / "model.safetensors")[0].values())
-
-
 def test_repeated_nan_loss_rolls_back_and_training_continues(tmp_path, failing, whole):
-    """With other batches, in the hope that they do not fail again."""
+    """It continues with other batches."""
     failing(range(25, 25 + ATTEMPTS))
     run = TrainingRun(configured(tmp_path))
     finish(run)
@@ -195,7 +176,7 @@ def test_non_finite_gradient_does_not_change_weights(tmp_path, failing):
     assert all(torch.isfinite(weight).all() for weight in run._learner.network.parameters())
 
 
-@pytest.mark.parametrize("last", [5, 9, 13, 20])
+@pytest.mark.parametrize("last", [5, 13])
 def test_resumed_run_equals_uninterrupted_run(tmp_path, whole, last):
     first = TrainingRun(configured(tmp_path))
     with training(first):
@@ -271,26 +252,6 @@ def test_checkpoint_without_its_observations_is_refused(tmp_path, whole):
         TrainingRun(configured(tmp_path, resume=True))
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        {"generator": {"bit_generator": "PCG64"}},
-        {"schedule": {"window": [1]}},
-        {"schedule": None},
-        {"schedule": "text"},
-        {"generator": []},
-        {"generator": None},
-        {"generator": {"bit_generator": "PCG64", "state": {"state": 2**200, "inc": 1}, "has_uint32": 0, "uinteger": 0}},
-        {"updates": "many"},
-        {"previous_replica_updates": None},
-    ],
-)
-def test_invalid_counters_are_refused(whole, damage):
-    state = whole.state._replace(counters={**whole.state.counters, **damage})
-    with pytest.raises(CorruptFileError, match="invalid counters in the checkpoint"):
-        whole.run._learner.load_state_dict(state)
-
-
 @pytest.mark.parametrize("rate", [0.3, 1.0])
 def test_far_too_high_learning_rate_is_named_as_the_cause(tmp_path, rate):
     """The loss stays finite, but grows so large that Adam's moments overflow."""
@@ -319,8 +280,8 @@ def test_moments_that_are_not_finite_are_not_saved(tmp_path):
     with training(run) as (_, _, errors):
         learn(run, 6)
         run._learner.join()
-        part = run._learner._optimiser.parts[1]
-        next(iter(part.state.values()))["exp_avg_sq"].fill_(float("inf"))
+        moments = run._learner.moments()
+        run._learner.load_moments(moments.fill_(float("inf")))
         hand_over(run, range(6, STEPS))
         run.log_std(np.zeros((1, 3)), 3 * (STEPS - 4), TIMEOUT)
     assert not errors

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config
@@ -49,7 +49,6 @@ def test_plane_height_is_table_height_plus_distance():
 
 
 @given(planar=planes, height=st.floats(-0.2, 0.2), tilt=tilts, offset=planes, rotation=rotations)
-@settings(max_examples=200)
 def test_camera_pose_round_trip(planar, height, tilt, offset, rotation):
     mount = CameraMount(offset, rotation, 0.4)
     pose = mount.camera_pose(column_major(*mount.end_effector(CameraPose(planar, height, tilt))))
@@ -60,7 +59,6 @@ def test_camera_pose_round_trip(planar, height, tilt, offset, rotation):
 
 
 @given(rotation=rotations)
-@settings(max_examples=200)
 def test_quaternion_represents_rotation(rotation):
     matrix = CameraMount((0.0, 0.0, 0.0), rotation, 0.0)._rotation
     x, y, z, w = quaternion(matrix)

@@ -268,7 +268,7 @@ def test_failed_preparation_may_be_retried_automatically():
     assert robot.readiness.needs_preparation
 
 
-def test_requested_recoveries_do_not_hold_robot_but_user_stop_does():
+def test_user_stop_holds_robot_but_requested_recovery_does_not():
     robot = Robot(recoveries=1)
     robot.reports(REFLEX)
     robot.recovers()

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config
@@ -65,7 +65,6 @@ legs = st.lists(
 
 
 @given(place=places, legs=legs, data=st.data())
-@settings(max_examples=100)
 def test_all_limits_hold_for_any_command_and_tick_delay(place, legs, data):
     stream, arm = begun(place), Follower(place)
     measured = at(place)
@@ -110,7 +109,6 @@ def test_retreat_from_border_stays_in_workspace():
     shoves=st.lists(st.tuples(*(st.floats(-0.3, 0.3),) * 3), min_size=1, max_size=20),
     wanted=velocities,
 )
-@settings(max_examples=100)
 def test_pushed_arm_pulls_set_point_towards_itself_only(place, shoves, wanted):
     stream = begun(place)
     for shove in shoves:
@@ -159,7 +157,6 @@ def test_height_and_tilt_are_corrected_slowly(height, tilt):
 
 
 @given(shoves=st.lists(st.tuples(*(st.floats(-3.0, 3.0),) * 3), min_size=1, max_size=20))
-@settings(max_examples=100)
 def test_lead_of_height_and_tilt_is_limited(shoves):
     stream = begun(BOX.centre)
     limits = np.array([CONFIG.franka.max_lead, CONFIG.franka.max_turn_lead, CONFIG.franka.max_turn_lead])

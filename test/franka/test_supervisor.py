@@ -261,7 +261,7 @@ def test_robot_is_never_ready_with_lost_settings(lab):
     assert Condition.READY not in conditions
 
 
-def test_controller_restarted_by_another_node_is_prepared_on_request(lab):
+def test_controller_restarted_elsewhere_is_prepared_on_request(lab):
     prepared(lab)
     for controller in (Controller("stopped", True), Controller("running", True)):
         lab.interface.running = {CONTROLLER: controller}

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from driver_lab import TICK, DriverLab, Stop
@@ -159,7 +159,6 @@ def camera_velocity(twist, measured):
 
 
 @given(legs=st.lists(st.tuples(trackings, periods, st.integers(1, 20)), max_size=6))
-@settings(max_examples=100)
 def test_twist_stays_within_limits_for_any_tracking(legs):
     tracker, before = VelocityTracker(CONFIG), np.zeros(6)
     for tracking, period, ticks in legs:

@@ -22,6 +22,11 @@ GEOMETRIES = [
     ((30, 41), ModelConfig(channels=(4,), kernels=(5,), strides=(2,))),
 ]
 
+CASES = pytest.mark.parametrize(
+    ("image_size", "config", "count"),
+    [(*GEOMETRIES[0], 1), (*GEOMETRIES[0], 70), (*GEOMETRIES[1], 5), (*GEOMETRIES[2], 16)],
+)
+
 
 @pytest.fixture(autouse=True)
 def _empty_cache():
@@ -55,15 +60,13 @@ def assert_matches_network(tested, network, images, features):
         torch.testing.assert_close(found, wanted, rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
-@pytest.mark.parametrize("count", [1, 5, 16, 70])
+@CASES
 def test_torch_inference_matches_network(image_size, config, count):
     assert_matches_network(TorchInference(), *make(image_size, config, count))
 
 
 @needs_kernels
-@pytest.mark.parametrize(("image_size", "config"), GEOMETRIES)
-@pytest.mark.parametrize("count", [1, 5, 16, 70])
+@CASES
 def test_native_inference_matches_network(image_size, config, count):
     tested = make_inference(image_size, config)
     assert isinstance(tested, NativeInference)
@@ -82,7 +85,7 @@ def test_lists_of_images_are_encoded_like_a_tensor(tested):
 
 
 @needs_kernels
-def test_networks_of_one_geometry_share_inference_but_not_weights():
+def test_networks_of_one_geometry_share_only_inference():
     tested = make_inference(*GEOMETRIES[0])
     assert make_inference(*GEOMETRIES[0]) is tested
     assert make_inference(*GEOMETRIES[1]) is not tested
@@ -99,17 +102,6 @@ def test_native_inference_is_thread_safe():
     expected = [outputs(tested, *query) for query in queries]
     for index, both in enumerate(found):
         assert all(torch.equal(*pair) for pair in zip(both, expected[index % 6]))
-
-
-@needs_kernels
-def test_scratch_memory_is_one_group_per_thread():
-    tested = make_inference(*GEOMETRIES[0])
-    outputs(tested, *make(*GEOMETRIES[0], 400))
-    spare = tested.convolutions._spare
-    assert spare
-    tensors = [tensor for every in spare.values() for maps in every for tensor in maps.tensors.values()]
-    assert {(tensor.dim(), tensor.shape[-1]) for tensor in tensors} == {(4, KERNELS.lanes)}
-    assert all(len(every) <= torch.get_num_threads() for every in spare.values())
 
 
 def test_torch_inference_splits_many_images_into_chunks():

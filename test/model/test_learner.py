@@ -25,6 +25,9 @@ SMALL = {
 }
 
 
+LARGE_GENERATOR = {"bit_generator": "PCG64", "state": {"state": 2**200, "inc": 1}, "has_uint32": 0, "uinteger": 0}
+
+
 class GrowingStore:
     """Observations in memory; every access copies the arrays, as when the store has grown."""
 
@@ -48,9 +51,9 @@ class GrowingStore:
         return images
 
 
-def make(count=30, seed=0, **sections):
+def make(count=30, seed=0, store=None, **sections):
     values = {name: {**SMALL.get(name, {}), **sections.get(name, {})} for name in {**SMALL, **sections}}
-    return Learner(Config.from_dict(values), GrowingStore(count), seed)
+    return Learner(Config.from_dict(values), GrowingStore(count) if store is None else store, seed)
 
 
 def weights(learner):
@@ -160,10 +163,20 @@ def test_unknown_tensor_is_refused_by_name():
 
 @pytest.mark.parametrize(
     ("counter", "value"),
-    [("updates", "many"), ("replica_updates", None), ("schedule", {"window": [1]}), ("generator", {})],
+    [
+        ("updates", "many"),
+        ("skipped", {"a": 1}),
+        ("rollbacks", [1]),
+        ("replica_updates", None),
+        ("previous_replica_updates", None),
+        *(("schedule", value) for value in ({"window": [1]}, None, "text")),
+        *(("generator", value) for value in ({}, [], None, {"bit_generator": "PCG64"}, LARGE_GENERATOR)),
+    ],
 )
 def test_invalid_counter_leaves_learner_unchanged(counter, value):
     learner, other = make(), make(seed=9)
+    other.update()
+    other.refresh()
     other.update()
     tensors, counters = other.state_dict()
     before = learner.state_dict()
@@ -185,18 +198,19 @@ def test_batch_has_no_duplicate_observation():
 
 
 def test_observations_are_used_from_their_update_on():
-    learner = make(count=8)
+    store = GrowingStore(8)
+    learner = make(store=store)
     seen = [learner.update().observations for _ in range(3)]
-    learner._observations.count = 10
+    store.count = 10
     seen += [learner.update().observations for _ in range(6)]
     assert seen == [8, 8, 8, 9, 9, 9, 10, 10, 10]
 
 
 def test_loss_weights_are_evaluated_at_their_interval():
-    learner = make()
-    coverages = []
+    store, coverages = GrowingStore(10), []
+    learner = make(store=store)
     for count in (10, 20, 30, 35):
-        learner._observations.count = count
+        store.count = count
         coverages.append(learner.update().coverage)
     assert coverages[0] == coverages[1] != coverages[2] == coverages[3]
 
@@ -384,11 +398,12 @@ def test_reader_overtaken_by_refresh_gets_the_requested_model():
 
 
 def test_early_observations_do_not_change_the_result():
-    in_time, early = make(count=8), make(count=90)
+    store = GrowingStore(8)
+    in_time, early = make(store=store), make(count=90)
     for step in range(9, 12):
         assert [in_time.update() for _ in range(3)] == [early.update() for _ in range(3)]
         assert in_time.evaluate() == early.evaluate()
-        in_time._observations.count = step
+        store.count = step
     assert torch.equal(weights(in_time), weights(early))
 
 

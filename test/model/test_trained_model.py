@@ -215,10 +215,3 @@ def test_damaged_model_is_refused_despite_checkpoints(tmp_path):
     session.paths.model.write_bytes(content)
     with pytest.raises(CorruptFileError, match=r"model\.safetensors"):
         load_session_model(session)
-
-
-def test_model_without_update_count_is_refused(tmp_path):
-    session = open_session(tmp_path)
-    save_model(session.paths.model, make_network().state_dict(), {})
-    with pytest.raises(CorruptFileError, match=r"model\.safetensors"):
-        load_session_model(session)

@@ -50,7 +50,7 @@ def test_empty_table_has_its_own_verdict():
     assert verdict.name == "nothing to learn"
 
 
-def test_latent_contribution_is_relative_to_the_better_alternative():
+def test_latent_contribution_is_relative_to_best_alternative():
     assert ReconstructionErrors(0.01, 0.1, 0.05).latent_contribution == pytest.approx(0.8)
     assert ReconstructionErrors(0.05, 0.1, 0.05).latent_contribution == 0.0
     assert ReconstructionErrors(0.0, 0.0, 0.0).latent_contribution == 1.0

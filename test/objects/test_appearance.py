@@ -22,15 +22,15 @@ from embodied_active_learning.objects.colours import (
     dark_factor,
     luminance_of,
 )
-from embodied_active_learning.objects.decision import FOUND, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.pose_search import best_pose, propose, refine
 from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, SceneViews
 from embodied_active_learning.objects.similarity import nearest_stored_views, similarity
 from painted_table import Thing, learn, paint, random_states
+from sample_decisions import make_decision
 
 SETTINGS = IdentificationConfig()
-TRIALS = 19
+TRIALS = 9
 RED, BLUE = Thing(0, (0.40, -0.07, 0.6)), Thing(1, (0.54, 0.06, -1.0))
 LEARNED = learn((RED, BLUE), (0.36, 0.12))
 CAMERA, WORKSPACE = LEARNED.config.camera, LEARNED.config.workspace.box()
@@ -230,8 +230,8 @@ def test_object_of_table_colour_has_problem_with_remedy():
 
 
 def test_evidence_figure_is_written(appearance, views, tmp_path):
-    decision = Decision("a", "object-1", "object", FOUND, 1, np.array(PLACE), 0.9, 0.05, 0.3, 5, 0.5, 0.1, "similarity")
-    path = draw_evidence(tmp_path / "evidence.png", [Evidence("a/object-1", appearance, decision)], views)
+    evidence = Evidence("a/object-1", appearance, make_decision(pose=PLACE, reason="similarity"))
+    path = draw_evidence(tmp_path / "evidence.png", [evidence], views)
     assert path.stat().st_size > 10_000
 
 

@@ -1,11 +1,11 @@
 """Decisions as a text table."""
 
-import numpy as np
 import pytest
 
-from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED
 from embodied_active_learning.objects.decision_table import decision_table
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
+from sample_decisions import make_decision
 
 
 @pytest.mark.parametrize(
@@ -18,8 +18,7 @@ from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
     ],
 )
 def test_decision_table_shows_pose_and_confidence(kind, outcome, cells):
-    pose = np.array([0.4, -0.1, 0.6])
-    decision = Decision("a", "object-1", kind, outcome, 1, pose, 0.976, 0.05, 0.1, 5, 0.5, 0.1, "similarity 0.80")
+    decision = make_decision(kind=kind, outcome=outcome, pose=(0.4, -0.1, 0.6), confidence=0.976)
     header, _, row = decision_table([decision]).splitlines()
     names = ["outcome", "x [m]", "y [m]", "yaw [rad]", "confidence"]
     places = [header.index(name) for name in names]

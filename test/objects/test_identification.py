@@ -27,10 +27,12 @@ SETTINGS = IdentificationConfig(
     candidates=4,
     separation=0.06,
     min_belief=0.5,
+    error_rate=0.1,  # the smallest one with 9 trials, which take less time than the default number
 )
+FINGERPRINT = {"prints": True, "trials": 9}
 RED, BLUE, GREEN = Thing(0, (0.40, -0.07, 0.6)), Thing(1, (0.54, 0.06, -1.0)), Thing(2, (0.45, 0.05, 0.0))
 BARE = (0.36, 0.12)
-LEARNED = learn((RED, BLUE), BARE)
+LEARNED = learn((RED, BLUE), BARE, fingerprint=FINGERPRINT)
 WORKSPACE, CAMERA = LEARNED.config.workspace.box(), LEARNED.config.camera
 # Poses of things, and one without; far enough apart not to be in the same view.
 HERE, THERE, NOWHERE = (0.56, -0.08, 0.9), (0.38, 0.08, -0.4), (0.57, 0.10, 0.0)
@@ -99,7 +101,7 @@ def assert_found(decisions, poses):
     assert [item.instance for item in decisions] == list(range(1, len(poses) + 1))
     for item in decisions:
         assert item.found
-        assert item.confidence > 0.9
+        assert item.confidence >= 0.9  # the highest one with 9 trials
     for pose in poses:
         errors = [pose_distance(item.pose, np.array(pose)) for item in decisions]
         assert any(distance < 0.01 and turn < math.radians(20.0) for distance, turn in errors)
@@ -121,7 +123,7 @@ def test_moved_and_turned_objects_are_found():
 @pytest.mark.parametrize(("trials", "enough"), [(4, False), (9, True)])
 def test_small_error_rate_needs_trials_of_the_fingerprint(trials, enough):
     made = replace(LEARNED, config=replace(LEARNED.config, fingerprint=FingerprintConfig(trials=trials)))
-    problem = make_identification((made,), replace(SETTINGS, error_rate=0.1)).targets[0].problem
+    problem = make_identification((made,), SETTINGS).targets[0].problem
     assert (problem == "") is enough
     assert enough or "from 0.2 on, not 0.1: raise fingerprint/trials and call /fingerprint again" in problem
 
@@ -262,7 +264,7 @@ def test_print_that_looks_like_an_object_is_not_found(monkeypatch):
         return Relief(place, np.full((19, 19), np.hypot(*(place - printed)) > 0.03), np.zeros((19, 19)))
 
     monkeypatch.setattr(scene_views, "relief_at", relief_at)
-    without_prints = replace(LEARNED, config=replace(LEARNED.config, fingerprint=FingerprintConfig(trials=19)))
+    without_prints = replace(LEARNED, config=replace(LEARNED.config, fingerprint=FingerprintConfig(trials=9)))
     assert_found(of(identify(images, (without_prints,)), "object-1"), [HERE])
     assert_found(of(identify(images), "object-1"), [HERE, THERE])
 
@@ -369,7 +371,7 @@ def test_irrelevant_camera_settings_may_differ():
 
 
 def test_two_sessions_searched_independently_in_one_stream():
-    first, second = replace(LEARNED, session="a"), learn((GREEN,), session="b")
+    first, second = replace(LEARNED, session="a"), learn((GREEN,), session="b", fingerprint=FINGERPRINT)
     images = stream((put(RED, HERE), put(GREEN, THERE)))
     together = identify(images, [first, second])
     assert_found(of(together, "object-1", "a"), [HERE])

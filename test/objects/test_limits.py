@@ -26,7 +26,7 @@ def test_confidence_is_share_of_less_similar_look_alikes():
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60), st.floats(0.001, 0.5))
-def test_at_most_the_error_rate_of_true_places_is_below_the_miss_limit(values, error_rate):
+def test_miss_limit_rejects_at_most_error_rate_of_true_places(values, error_rate):
     true = np.sort(np.array(values))
     miss = Calibration(true, true).limits(error_rate).miss
     assert (true < miss).sum() <= error_rate * (len(true) + 1)

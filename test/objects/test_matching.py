@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from embodied_active_learning.config import Config, IdentificationConfig
@@ -147,7 +147,6 @@ def test_image_is_encoded_at_stored_state():
         assert matches.distance[0] == pytest.approx(distances.min(), rel=1e-5)
 
 
-@settings(max_examples=30)
 @given(POSES, st.integers(0, 2**31 - 1))
 def test_pose_of_moved_object_is_exact(goal, seed):
     """The camera moves with the object, so the images are identical."""

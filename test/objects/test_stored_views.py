@@ -1,15 +1,10 @@
 """Selection of views from stored observations."""
 
-from types import SimpleNamespace
-
 import numpy as np
-import pytest
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.errors import ObservationError
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects.stored_views import ObservedViews
-from embodied_active_learning.pipeline.fingerprinting import FingerprintRun
 
 CENTRE = np.array([0.47, 0.01, 0.3])
 CONFIG = Config.from_dict({"fingerprint": {"views": 50}})
@@ -59,12 +54,6 @@ def test_stored_views_depend_on_seed_only():
     assert not np.array_equal(select(states, images).states, select(states, images, seed=1).states)
 
 
-def test_too_few_stored_views_raise():
-    run = FingerprintRun.__new__(FingerprintRun)
-    run._config, run._from_stored = CONFIG, True
-    run.clustering = SimpleNamespace(clusters=[SimpleNamespace(kind="object")])
-    run.collections = [select(*stored(60))]
-    expected = r"object-1: too few stored views: \d+ of 50 \(fingerprint/views\) within 0.06 m"
-    with pytest.raises(ObservationError, match=expected):
-        run.require_complete("object-1")
+def test_too_few_stored_views_are_incomplete():
+    assert not select(*stored(60)).complete
     assert len(select(np.empty((0, 3)), np.empty((0, 2, 3, 3), np.uint8)).states) == 0

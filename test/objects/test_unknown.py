@@ -5,12 +5,13 @@ import pytest
 
 from embodied_active_learning.config import CameraConfig
 from embodied_active_learning.figures.unknown_objects import draw_unknown
-from embodied_active_learning.objects.decision import FOUND, NOT_HERE, Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE
 from embodied_active_learning.objects.decision_table import unknown_text
 from embodied_active_learning.objects.scene_views import Mosaic, SceneViews
 from embodied_active_learning.objects.unknown import find_unknown
 from embodied_active_learning.workspace import Workspace
 from painted_table import Thing, paint, random_states
+from sample_decisions import make_decision
 
 CAMERA, WORKSPACE = CameraConfig(width=45, height=45), Workspace()
 SMALL = Thing(0, (0.40, -0.07, 0.6), height=0.03)
@@ -24,11 +25,11 @@ def scene_of(*things, change=lambda images: images, camera=CAMERA):
 
 
 def decided(outcome, thing):
-    return Decision("a", "object-1", "object", outcome, 1, np.array(thing.pose), 0.9, 0.05, 0.3, 5, 0.5, 0.1, "")
+    return make_decision(outcome=outcome, pose=thing.pose)
 
 
 @pytest.mark.parametrize("gain", [0.6, 1.0])
-def test_unknown_objects_are_located_largest_first_at_any_brightness(gain):
+def test_unknown_objects_are_located_largest_first(gain):
     scene = scene_of(SMALL, LARGE, change=lambda images: (gain * images).astype(np.uint8))
     found = find_unknown(*scene, (), 0.06)
     for item, thing in zip(found, (LARGE, SMALL)):

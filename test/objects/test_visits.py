@@ -8,11 +8,12 @@ import pytest
 
 from embodied_active_learning.geometry import pose_distance, transform_poses
 from embodied_active_learning.objects.appearance import Appearance
-from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED, Decision
+from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.objects.visits import make_visit, plan_visits
 from painted_table import PaintedModel, Thing, learn, paint
+from sample_decisions import make_decision
 
 LEARNED = learn((Thing(0, (0.40, -0.07, 0.6)),), (0.36, 0.12))
 FINGERPRINT = LEARNED.fingerprints[0]
@@ -29,8 +30,7 @@ INSIDE, OUTSIDE = np.array([0.5, 0.05, 1.1]), np.array([0.63, 0.16, -0.4])
 
 
 def decide(pose, outcome=FOUND, kind=OBJECT):
-    middle = TARGET.appearance.middle_at(pose)
-    return Decision("learned", "object-1", kind, outcome, 1, middle, 0.9, 0.05, 0.1, 5, 0.5, 0.1, "")
+    return make_decision(session="learned", kind=kind, outcome=outcome, pose=TARGET.appearance.middle_at(pose))
 
 
 def plan(*decisions, unknown=()):
@@ -51,7 +51,7 @@ def test_camera_stays_in_the_workspace_near_the_object(pose):
     assert pose_distance(destination.state, nearest)[0] < 0.02
 
 
-def test_view_and_prediction_show_the_object_as_the_camera_sees_it():
+def test_view_and_prediction_show_object_as_camera_does():
     [destination] = plan(decide(INSIDE))
     state = WORKSPACE.clip(destination.state + np.array([0.002, 0.0, 0.05]))
     picture = paint(state[None], [Thing(0, tuple(INSIDE))], CAMERA, noise=0.0)[0]
@@ -89,7 +89,7 @@ def test_unknown_object_is_visited_without_prediction():
 
 def test_belief_decision_is_the_pose_of_the_centre():
     """Decisions by belief state the pose of the fingerprint's centre, those by views that of its visible middle."""
-    decision = Decision("learned", "object-1", OBJECT, FOUND, 1, INSIDE, 0.9, 0.0, 0.1, 0, 0.5, 0.1, "")
+    decision = make_decision(session="learned", pose=INSIDE)
     search = SimpleNamespace(targets=[TARGET], by_views=False)
     [destination] = plan_visits(search, [decision], (), WORKSPACE)
     expected = transform_poses(FINGERPRINT.states[destination.expected.view], FINGERPRINT.centre, INSIDE)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import embodied_active_learning as eal
-from embodied_active_learning.errors import ConfigError, CorruptFileError, SessionError
+from embodied_active_learning.errors import ConfigError, CorruptFileError, ObservationError, SessionError
 from embodied_active_learning.objects.stability import Measurement
 from embodied_active_learning.pipeline import learning, stopping
 from embodied_active_learning.pipeline.learning import learn, ros_seconds
@@ -55,13 +55,6 @@ def test_progress_is_reported_after_each_step(learned):
     assert [report.step for report in reports[:STEPS]] == list(range(1, STEPS + 1))
     assert reports[STEPS - 1].updates_planned == 3 * STEPS
     assert reports[-1].share == pytest.approx(1.0)
-
-
-def test_one_seed_gives_one_result(learned, tmp_path):
-    session, _ = learned
-    again = learn(tiny(tmp_path))
-    for name in ("exploration.csv", "training.csv", "evaluation.csv", "model.safetensors"):
-        assert (again.paths.path / name).read_bytes() == (session.paths.path / name).read_bytes(), name
 
 
 def test_run_that_ends_early_is_a_shorter_run(tmp_path, monkeypatch):
@@ -151,10 +144,9 @@ def test_real_robot_is_refused(tmp_path):
         learn(tiny(tmp_path, robot="franka"))
 
 
-@pytest.mark.parametrize("from_stored", [False, True])
-def test_fingerprints_are_found_in_another_session(learned, tmp_path, from_stored):
+def test_fingerprints_are_found_in_another_session(learned, tmp_path):
     session, _ = learned
-    found = eal.fingerprint(session, from_stored=from_stored, views=2)
+    found = eal.fingerprint(session, views=2)
     assert [len(item.images) for item in found.fingerprints] == [2] * len(found.fingerprints)
     other = learn(tiny(tmp_path, "other", explorer="uniform_ergodic", updates_per_observation=0, world="right"))
     decisions = eal.identify(session, images_of=other, images=10, name="first", decision="belief", min_belief=0.0)
@@ -172,17 +164,23 @@ def fingerprinted(learned):
     return session, eal.fingerprint(session, from_stored=True, views=2)
 
 
-@pytest.mark.parametrize("robot", ["franka", "recording"])
-def test_fingerprinting_a_real_session_needs_stored_views(fingerprinted, tmp_path, robot):
-    session, _ = fingerprinted
+def test_fingerprinting_a_real_session_needs_stored_views(fingerprinted, tmp_path):
+    session, found = fingerprinted
+    assert [len(item.images) for item in found.fingerprints] == [2] * len(found.fingerprints)
     path = tmp_path / "real"
     shutil.copytree(session.paths.path, path)
-    write_stored_config(path / "config.yaml", replace(session.config, arm=replace(session.config.arm, robot=robot)))
+    write_stored_config(path / "config.yaml", replace(session.config, arm=replace(session.config.arm, robot="franka")))
     before = load_fingerprints(path).created
-    with pytest.raises(ConfigError, match=f"arm/robot of session real is {robot}.*use from_stored=True"):
+    with pytest.raises(ConfigError, match=r"arm/robot of session real is franka.*use from_stored=True"):
         eal.fingerprint(path)
     assert load_fingerprints(path).created == before
     assert eal.fingerprint(path, from_stored=True, views=2).session == "real"
+
+
+def test_too_few_stored_views_are_refused(learned):
+    expected = r"(object|blank)-1: too few stored views: \d+ of 50 \(fingerprint/views\) within 0.1 m"
+    with pytest.raises(ObservationError, match=expected):
+        eal.fingerprint(learned[0], from_stored=True, views=50)
 
 
 def test_identification_accepts_any_form_of_sessions(fingerprinted):
@@ -250,31 +248,27 @@ def test_times_are_rounded_like_ros_times():
         assert ros_seconds(seconds) == genpy.Time.from_sec(seconds).to_sec()
 
 
-def test_package_import_is_fast_and_free_of_ros():
-    """Nothing heavy is imported before the first use, and ROS never."""
+def test_package_import_is_fast():
+    """Nothing heavy is imported before the first use."""
     code = """
 import json, sys
 import embodied_active_learning as eal
 early = [name for name in ("numpy", "torch", "pybullet", "rospy") if name in sys.modules]
-eal.learn, eal.fingerprint, eal.identify, eal.load_config, eal.load_session, eal.Session, eal.EXPLORERS
-late = [name for name in sys.modules if name.split(".")[0] in ("rospy", "genpy", "rosgraph", "catkin_pkg")]
-print(json.dumps([early, late, "learn" in dir(eal), hasattr(eal, "nothing")]))
+print(json.dumps([early, "learn" in dir(eal), hasattr(eal, "nothing")]))
 """
     output = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    assert json.loads(output.splitlines()[-1]) == [[], [], True, False]
+    assert json.loads(output.splitlines()[-1]) == [[], True, False]
 
 
-@pytest.mark.parametrize("value", [None, "text", [1], {"a": 1}])
-@pytest.mark.parametrize("counter", ["updates", "skipped", "rollbacks", "replica_updates", "schedule", "generator"])
-def test_checkpoint_with_invalid_counter_is_refused(learned, tmp_path, counter, value):
-    """Its checksum is right, as if a program had written it."""
+def test_checkpoint_with_invalid_counter_is_refused(learned, tmp_path):
+    """Its checksum is right, as if a program had written it; the session is not locked afterwards."""
     session, _ = learned
     path = tmp_path / "run"
     shutil.copytree(session.paths.path, path)
     newest = load_latest(path / "checkpoints")
     for other in (path / "checkpoints").iterdir():
         other.unlink()
-    counters = {**newest.counters, counter: value}
+    counters = {**newest.counters, "schedule": None}
     save_checkpoint(path / "checkpoints", newest.updates, newest.observations, newest.tensors, counters)
     config = tiny(tmp_path, resume=True)
     with pytest.raises(CorruptFileError, match=r"checkpoint_\d+\.safetensors"):

@@ -80,23 +80,6 @@ def test_repeated_observation_counts_once(tmp_path):
         assert run.observations == 3
 
 
-def test_stopped_run_resumes_with_all_observations_and_updates(tmp_path):
-    first = TrainingRun(configured(tmp_path))
-    with training(first):
-        hand_over(first, range(10))
-        first.log_std(np.zeros((1, 3)), 14, TIMEOUT)
-    again = TrainingRun(configured(tmp_path, resume=True))
-    assert again.observations == 10
-    assert again.updates == 14
-    np.testing.assert_array_equal(again.trajectory[3], observation(3)[2])
-    with training(again) as (_, finished, errors):
-        hand_over(again, range(10, STEPS))
-        assert finished.wait(TIMEOUT)
-        assert not errors
-    updates = [line.split(",")[0] for line in (tmp_path / "run" / "training.csv").read_text().splitlines()[1:]]
-    assert updates == [str(update) for update in range(1, 2 * STEPS + 1)]
-
-
 def test_checkpoint_can_be_requested_while_training(tmp_path):
     run = TrainingRun(configured(tmp_path))
     with training(run):

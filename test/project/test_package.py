@@ -28,6 +28,17 @@ def test_package_xml_names_used_ros_packages():
     assert used - named == {manifest.findtext("name")}
 
 
+def test_library_imports_ros_only_in_its_ros_package():
+    """The Python API works where ROS is not installed."""
+    package = ROOT / "src" / "embodied_active_learning"
+    ros = r"rospy|roslib|rosbag|rosgraph|rosservice|roslaunch|rospkg|genpy|actionlib|tf2_\w+|\w+_msgs|catkin_pkg"
+    own = r"embodied_active_learning\.(ros|msg|srv)"
+    pattern = re.compile(rf"^\s*(import|from) (({ros})|{own})\b", re.MULTILINE)
+    paths = [path for path in package.rglob("*.py") if path.relative_to(package).parts[0] != "ros"]
+    assert len(paths) > 100
+    assert [str(path) for path in paths if pattern.search(path.read_text(encoding="utf-8"))] == []
+
+
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_each_arm_has_node_launch_file_and_profile(arm):
     assert (ROOT / "nodes" / arm.node).is_file()

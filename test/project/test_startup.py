@@ -48,20 +48,6 @@ def test_help_prints_docstring_without_master(path, monkeypatch, capsys):
     assert "".join(first.split()) in "".join(capsys.readouterr().out.split())
 
 
-PYTHON_PROGRAMS = [
-    path
-    for folder in ("tools", "examples", "benchmarks", "experiments")
-    for path in sorted((ROOT / folder).glob("*.py"))
-    if "__main__" in path.read_text()
-]
-
-
-@pytest.mark.parametrize("path", PYTHON_PROGRAMS, ids=lambda path: path.name)
-def test_programs_parse_their_arguments(path):
-    """So --help explains the program instead of running it."""
-    assert "import argparse" in path.read_text()
-
-
 def test_missing_module_is_reported_in_one_sentence(tmp_path):
     script = tmp_path / "script.py"
     script.write_text("import embodied_active_learning.ros.runtime.startup\nimport absent_module\n")

@@ -213,12 +213,6 @@ def test_set_of_another_config_is_not_saved(session):
     assert not has_fingerprints(session)
 
 
-@pytest.mark.parametrize("name", ["set.yaml", "model.safetensors"])
-def test_fingerprint_name_cannot_equal_a_file_name(name):
-    with pytest.raises(SessionError, match=rf"name of a fingerprint is '{name}': give 1 to 64"):
-        make_fingerprint(name=name)
-
-
 def test_non_finite_weights_keep_old_set(session):
     save_fingerprints(session, numbered(1))
     with pytest.raises(SessionError, match=r"array w has values that are not finite"):
@@ -264,7 +258,7 @@ def test_set_replaced_while_reading_gives_new_one(session, monkeypatch):
 
 def test_set_is_complete_when_saver_is_killed(session):
     # In a process without threads, because it forks.
-    code = "import sys, test_fingerprints as tests; tests.kill_before_each_step(sys.argv[1])"
+    code = "import sys, test_fingerprints as tests; tests.kill_before_steps(sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(session)], check=True, timeout=120, env=ENVIRONMENT)
 
 
@@ -281,21 +275,33 @@ def fork(work):
     return child
 
 
-def kill_before_each_step(path):
+STRIDE = 3  # steps from one kill to the next; around the commit there is one before each step
+
+
+def kill_before_steps(path):
     session = Path(path)
     save_fingerprints(session, numbered(1))
-    before, found, status = session.with_name("before"), [], signal.SIGKILL
+    before, found, status = session.with_name("before"), {}, signal.SIGKILL
     session.rename(before)
-    while status == signal.SIGKILL:
+
+    def kill_before(step):
         shutil.copytree(before, session)
-        child = fork(lambda: (die_before(len(found)), save_fingerprints(session, numbered(2))))
+        child = fork(lambda: (die_before(step), save_fingerprints(session, numbered(2))))
         status = os.waitpid(child, 0)[1]
-        found.append(number_of(load_fingerprints(session)))
+        found[step] = number_of(load_fingerprints(session))
         shutil.rmtree(session)
+        return status
+
+    while status == signal.SIGKILL:
+        status = kill_before(STRIDE * len(found))
     assert status == 0
-    assert found == sorted(found)
-    assert found.count(1) > 15, "the steps before the commit"
-    assert found.count(2) > 5, "the steps after it, which delete the old set"
+    committed = min(step for step, number in found.items() if number == 2)
+    for step in range(committed - STRIDE + 1, committed):
+        assert kill_before(step) == signal.SIGKILL
+    numbers = [number for _, number in sorted(found.items())]
+    assert numbers == sorted(numbers)
+    assert numbers.count(1) > 15 // STRIDE, "the steps before the commit"
+    assert numbers.count(2) > 1, "the steps after it, which delete the old set"
 
 
 def die_before(step):
@@ -369,19 +375,9 @@ def test_damaged_newest_set_has_no_fallback(session):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("format", "else", "format is 'else': expected"),
         ("version", 1, "version is 1, but this package reads version 2 only: .* or call /fingerprint again"),
-        ("more", 1, "unknown key more"),
-        ("session", "../x", "session of the fingerprints is '../x'"),
-        ("updates", -1, "invalid updates -1"),
-        ("updates", "9000", "updates is '9000'"),
-        ("observations", 1.5, "observations is 1.5"),
         ("created", "yesterday", "invalid created 'yesterday'"),
-        ("names", "object-1", "names is 'object-1': expected a list"),
         ("names", ["../x"], "one of names is '../x'"),
-        ("names", ["/etc"], "one of names is '/etc'"),
-        ("names", [".."], "one of names is '..'"),
-        ("names", [1], "names/0 is 1: expected a text"),
         ("names", ["object-1", "object-1"], "duplicate fingerprint name in object-1, object-1"),
     ],
 )
@@ -398,16 +394,10 @@ def test_invalid_set_with_valid_checksum_is_rejected(session, field, value, mess
     ("tensors", "facts", "message"),
     [
         ({"centre": torch.zeros(3)}, {}, "object-1: centre is float32"),
-        ({"states": torch.zeros(2, 3, dtype=torch.float64)}, {}, r"object-1: images is uint8 \(3, "),
-        ({"latent_means": torch.zeros(3, 2, dtype=torch.float16)}, {}, "latent_means is float16, expected one of"),
         ({"latent_stds": None}, {}, "latent_stds is missing"),
         ({"more": torch.zeros(1)}, {}, "array 'more' is unknown"),
         ({}, {"name": "object-2"}, "name is 'object-2': expected 'object-1'"),
-        ({}, {"kind": "thing"}, "object-1: invalid kind 'thing'"),
-        ({}, {"importance": "1"}, "importance is '1'"),
         ({}, {"importance": 2.0}, "object-1: importance 2.0"),
-        ({}, {"importance": None}, "importance is None"),
-        ({}, {"more": 1}, "unknown key more"),
     ],
 )
 def test_invalid_fingerprint_with_valid_checksum_is_rejected(session, tensors, facts, message):

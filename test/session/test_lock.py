@@ -33,9 +33,12 @@ def test_lock_failure_names_file_and_reason(tmp_path, monkeypatch, attempt, code
 
 
 def test_unopenable_lock_file_is_named(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)  # opening it would wait for a writer for ever
     for attempt in (lock.acquire, lock.holder):
-        with pytest.raises(SessionError, match=rf"{tmp_path} cannot be locked \(it is a folder\)"):
-            attempt(tmp_path)
+        for path, kind in ((tmp_path, "folder"), (pipe, "named pipe")):
+            with pytest.raises(SessionError, match=rf"{path} cannot be locked \(it is a {kind}\)"):
+                attempt(path)
 
 
 def test_missing_lock_file_has_no_holder(tmp_path):

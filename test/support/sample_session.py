@@ -1,4 +1,4 @@
-"""A small session with one of every file that the package writes, and beside it one of every file that people write."""
+"""A small session with one of every file that the package writes, and of every file that users write (in user/)."""
 
 from __future__ import annotations
 
@@ -49,36 +49,36 @@ VALUES = {
 
 
 class Kind(NamedTuple):
-    """One kind of file: where it lies below the sample, how it is read, and what it is refused with."""
+    """One kind of file: its path below the sample, how it is read, and the error if it is invalid."""
 
     path: str
-    read: Callable[[Path], Any]  # of the sample's folder; what comes back can be compared
-    remedy: str = ""  # in every message about it
+    read: Callable[[Path], Any]  # of the sample's folder; returns comparable values
+    remedy: str = ""  # in every error message about it
     limit: int = 2**18  # largest file that is read [bytes]
     error: Type[EmbodiedActiveLearningError] = CorruptFileError
-    checked: bool = True  # whether a change of its content is noticed; people's own files have no checksum
+    checked: bool = True  # whether changed content is detected; users' files have no checksum
 
 
 def configuration(root: Path, **session: Any) -> Config:
-    """The configuration of the sample."""
+    """Return the configuration of the sample."""
     return Config.from_dict({**VALUES, "session": {"root": str(root), "name": NAME, **session}})
 
 
 def observation(index: int) -> tuple:
-    """Index, stamp, state and image of an observation."""
+    """Return index, stamp, state and image of an observation."""
     random = np.random.default_rng(index)
     state = random.uniform((0.33, -0.14, -1.9), (0.62, 0.14, 1.9))
     return index, 0.2 * index, state, random.integers(0, 256, (12, 12, 3), dtype=np.uint8)
 
 
 def network(config: Config) -> ConditionalVAE:
-    """The network of a configuration."""
+    """Return the network of a configuration."""
     torch.manual_seed(3)
     return ConditionalVAE((config.camera.height, config.camera.width), 3, config.model)
 
 
 def fingerprints(config: Config, number: int = 1) -> FingerprintSet:
-    """A set of one fingerprint with two views."""
+    """Return a set of one fingerprint with two views."""
     random = np.random.default_rng(number)
     item = Fingerprint(
         name="object-1",
@@ -96,7 +96,7 @@ def fingerprints(config: Config, number: int = 1) -> FingerprintSet:
 
 
 def make_sample(root: Path) -> Path:
-    """Write the sample below a folder. -> the session's folder."""
+    """Write the sample below a folder; return the session's folder."""
     config = configuration(root)
     weights = network(config).state_dict()
     with Session.open_for_writing(config) as session:
@@ -112,18 +112,18 @@ def make_sample(root: Path) -> Path:
         save_checkpoint(session.paths.checkpoints, 3, OBSERVATIONS, tensors, {"updates": 3})
         save_model(session.paths.model, weights, {"updates": 3, "observations": OBSERVATIONS})
         save_fingerprints(session.paths.path, fingerprints(config))
-        sought = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)
-        sought.observe(states, images)
-        save_identification(session.paths.path, "first", sought, sought.decide(states, images))
-        memory = ExplorationRun(config).state_dict()
-        save_planner_state(session.paths.path / "planner.safetensors", _planner_memory(memory))
+        search = Identification([fingerprints(config)], config.workspace.box(), config.camera, config.identification)
+        search.observe(states, images)
+        save_identification(session.paths.path, "first", search, search.decide(states, images))
+        run = ExplorationRun(config).state_dict()
+        save_planner_state(session.paths.path / "planner.safetensors", _planner_state(run))
         _write_arm_states(session.paths.arm_states)
         write_summary(session.paths.summary, summarise(session, True, 1.5))
-    _write_files_of_people(session.paths.path / "people")
+    _write_user_files(session.paths.path / "user")
     return session.paths.path
 
 
-def _planner_memory(run: Dict[str, np.ndarray]) -> PlannerState:
+def _planner_state(run: Dict[str, np.ndarray]) -> PlannerState:
     return PlannerState(2, (1, 5), np.array([0.4, 0.1, 0.2]), np.zeros(3), run)
 
 
@@ -140,7 +140,7 @@ def _arm_states(path: Path) -> Any:
     return [_plain(states.at((second, 5))) for second in range(3)] if states.stamps else None
 
 
-def _write_files_of_people(folder: Path) -> None:
+def _write_user_files(folder: Path) -> None:
     folder.mkdir()
     mesh = "".join(f"v {x} {y} {z}\n" for x in (0, 0.01) for y in (0, 0.01) for z in (0, 0.01)) + "f 2 6 8\n"
     (folder / "thing.obj").write_text(mesh)
@@ -153,7 +153,7 @@ def _write_files_of_people(folder: Path) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Arrays and tensors as bytes, so that two of a kind can be compared."""
+    """Return arrays and tensors as bytes, which can be compared."""
     if dataclasses.is_dataclass(value):
         value = vars(value)
     if isinstance(value, torch.Tensor):
@@ -177,7 +177,7 @@ def _checkpoint(path: Path) -> Any:
     return found and (found.updates, found.counters, _plain(found.tensors))
 
 
-def _memory(path: Path) -> Any:
+def _stored_planner_state(path: Path) -> Any:
     found = load_planner_state(path / "planner.safetensors")
     return found and _plain(found)
 
@@ -188,7 +188,7 @@ def _set(path: Path) -> Any:
 
 
 def _world(path: Path) -> Any:
-    world = load_world(str(path / "people" / "world.yaml"), Config().workspace.box())
+    world = load_world(str(path / "user" / "world.yaml"), Config().workspace.box())
     return repr(world.objects), repr(world.disturbances), _plain(TablePicture(world.table)._texture)
 
 
@@ -222,7 +222,12 @@ KINDS = (
         _TRAIN,
         2**32,
     ),
-    Kind("planner.safetensors", _memory, "delete it; the planner then resumes from the stored observations", 2**30),
+    Kind(
+        "planner.safetensors",
+        _stored_planner_state,
+        "delete it; the planner then resumes from the stored observations",
+        2**30,
+    ),
     Kind("arm_states.safetensors", _arm_states, "delete it; the arm then cannot return to states before", 2**24),
     Kind(f"{_GENERATION}/set.yaml", _set, _FINGERPRINT),
     Kind(f"{_GENERATION}/model.safetensors", _set, _FINGERPRINT, 2**32),
@@ -232,13 +237,13 @@ KINDS = (
     Kind(f"{_FIRST}/trace.safetensors", lambda path: _plain(load_trace(path, "first")), _IDENTIFY, 2**32),
     Kind(f"{_FIRST}/beliefs.safetensors", lambda path: _plain(load_beliefs(path, "first")), _IDENTIFY, 2**32),
     Kind(
-        "people/profile.yaml",
-        lambda path: Config.from_dict(load_profile(path / "people" / "profile.yaml")).to_dict(),
+        "user/profile.yaml",
+        lambda path: Config.from_dict(load_profile(path / "user" / "profile.yaml")).to_dict(),
         error=ConfigError,
         checked=False,
     ),
-    Kind("people/world.yaml", _world, error=WorldError, checked=False),
-    Kind("people/thing.urdf", _world, limit=2**20, error=WorldError, checked=False),
-    Kind("people/thing.obj", _world, limit=2**27, error=WorldError, checked=False),
-    Kind("people/table.png", _world, limit=2**26, error=WorldError, checked=False),
+    Kind("user/world.yaml", _world, error=WorldError, checked=False),
+    Kind("user/thing.urdf", _world, limit=2**20, error=WorldError, checked=False),
+    Kind("user/thing.obj", _world, limit=2**27, error=WorldError, checked=False),
+    Kind("user/table.png", _world, limit=2**26, error=WorldError, checked=False),
 )

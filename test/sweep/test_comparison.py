@@ -32,7 +32,7 @@ RECORDS = [
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=8))
-def test_bootstrap_interval_contains_the_mean_and_stays_within_the_data(values):
+def test_bootstrap_interval_has_mean_and_stays_within_data(values):
     result = bootstrap_mean(np.array(values)[:, np.newaxis], range(len(values)))
     spread = 1e-9 * (1.0 + np.abs(values).max())
     assert min(values) - spread <= result.low[0] <= result.high[0] <= max(values) + spread

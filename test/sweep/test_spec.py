@@ -68,14 +68,14 @@ def test_differences_ignore_settings_without_influence(tmp_path):
     assert differences(stored, load(tmp_path, SPEC.replace("steps: 300", changes)).runs[0].config) == []
 
 
-def test_differences_include_clustering_of_runs_that_stop_when_stable(tmp_path):
+def test_differences_include_clustering_if_stop_is_stable(tmp_path):
     text = SPEC.replace("steps: 300", "steps: 300, stop: stable")
     stored = load(tmp_path, text).runs[0].config
     changed = load(tmp_path, text.replace("stable", "stable}, fingerprint: {bandwidth: 0.06")).runs[0].config
     assert differences(stored, changed) == ["fingerprint/bandwidth is 0.06 but was 0.045"]
 
 
-def test_differences_include_identification_for_the_active_explorer(tmp_path):
+def test_differences_include_identification_if_active(tmp_path):
     text = SPEC.replace("steps: 300", "steps: 300, explorer: active")
     stored = load(tmp_path, text).runs[0].config
     changed = load(tmp_path, text.replace("active", "active}, identification: {margin: 0.03")).runs[0].config

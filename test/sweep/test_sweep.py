@@ -1,6 +1,7 @@
 """Sweeps: runs, their records, and the command."""
 
 import os
+import pickle
 import shutil
 import sys
 from dataclasses import replace
@@ -18,9 +19,10 @@ from embodied_active_learning.sweep import jobs as sweep_jobs
 from embodied_active_learning.sweep import runner
 from embodied_active_learning.sweep.__main__ import main
 from embodied_active_learning.sweep.jobs import Job
-from embodied_active_learning.sweep.run_records import has_record, load_record, write_record
+from embodied_active_learning.sweep.run_records import load_record, write_record
 from embodied_active_learning.sweep.runner import make_runs, total_progress
 from embodied_active_learning.sweep.spec import load_sweep
+from stub_job import StubJob
 from tiny import STEPS, TINY
 
 
@@ -137,8 +139,7 @@ def test_folder_of_an_uncreated_session_is_started_anew(tmp_path):
     job.check()
     assert job.progress().step == 0
     assert job.bytes_needed() > 0
-    job()
-    assert job.complete
+    assert not job.started
 
 
 def test_failed_run_does_not_stop_the_others(tmp_path, monkeypatch):
@@ -153,21 +154,26 @@ def test_failed_run_does_not_stop_the_others(tmp_path, monkeypatch):
     assert "completed" in lines
 
 
-def test_diverged_run_is_recorded_as_failed(tmp_path, monkeypatch):
+def test_diverged_run_is_recorded_as_failed(copied, monkeypatch):
     def diverge(config):
-        eal.learn(config)
         raise DivergenceError("too large")
 
-    job = jobs_of(tmp_path)[0]
+    shutil.rmtree(copied / "records")
+    job = jobs_of(copied)[0]
     monkeypatch.setattr(sweep_jobs, "learn", diverge)
     job()
     assert load_record(job.record).failure == "too large"
 
 
 def test_run_is_made_in_a_process_of_its_own(tmp_path):
-    job = jobs_of(tmp_path)[0]
+    job = StubJob(tmp_path / "process")
     assert make_runs([job], 1, str) == {}
-    assert has_record(job.record)
+    assert int(job.path.read_text()) != os.getpid()
+
+
+def test_job_is_sent_to_another_process(tmp_path):
+    job = jobs_of(tmp_path)[0]
+    assert pickle.loads(pickle.dumps(job)) == job  # noqa: S301 - written by this test
 
 
 def test_crashed_process_is_reported(monkeypatch):

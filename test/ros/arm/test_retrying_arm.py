@@ -1,7 +1,6 @@
 """Retries, timeouts and pauses of the arm client, with an arm and a camera that fail on demand; no ROS master."""
 
 import threading
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -167,6 +166,19 @@ def problem(retrying):
 
 
 @pytest.fixture
+def paused(monkeypatch):
+    """Set as soon as a command waits for the end of a pause."""
+    paused, wait = threading.Event(), retrying_arm.wait_until
+
+    def wait_until(*arguments):
+        paused.set()
+        wait(*arguments)
+
+    monkeypatch.setattr(retrying_arm, "wait_until", wait_until)
+    return paused
+
+
+@pytest.fixture
 def simulated(monkeypatch, camera):
     arm = SimulatedArm(camera)
     monkeypatch.setattr(retrying_arm, "ArmClient", lambda: arm)
@@ -219,14 +231,13 @@ def test_timeout_raises_missing_image(arm, camera):
     assert arm.calls == []
 
 
-def test_observe_timeout_includes_rejected_commands(arm, camera):
+def test_observe_timeout_includes_rejected_commands(arm, camera, clock):
     retrying = retrying_arm.RetryingArm(Config(), timeout=0.2)
     camera.failures = [ObservationError("no image")]
     arm.failures = [ArmStoppedError("refused") for _ in range(10**4)]
-    started = time.monotonic()
     with pytest.raises(CommandError, match="refused"):
         retrying.observe(REACHED)
-    assert time.monotonic() - started < 2.0
+    assert clock.now == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("error_class", [CommandError, ArmFailedError])
@@ -279,7 +290,7 @@ def test_health_reports_pause_and_what_it_waits_for(retrying):
 
 @pytest.fixture
 def clock(monkeypatch):
-    """The clock of the lease, whose heartbeats are sent while it passes."""
+    """The clock of pauses, timeouts and the lease, whose heartbeats are sent while it passes."""
     clock = SimpleNamespace(now=0.0)
 
     def start_timer(period, function):
@@ -291,7 +302,13 @@ def clock(monkeypatch):
         clock.passes = passes
 
     monkeypatch.setattr(lease, "WallTimer", start_timer)
-    monkeypatch.setattr(lease, "time", SimpleNamespace(monotonic=lambda: clock.now))
+
+    def sleep(seconds):
+        clock.now += seconds
+
+    for module in (lease, retry_policy):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(retrying_arm, "wall_sleep", sleep)
     return clock
 
 
@@ -378,20 +395,20 @@ def test_late_stop_raises_and_happens_later(arm, retrying):
     assert arm.calls[-1] == ("stop",)
 
 
-def test_stop_during_pause_follows_command_in_progress(arm, retrying):
+def test_stop_during_pause_follows_command_in_progress(arm, retrying, paused):
     retrying.execute(FORWARD)
     arm.responds.clear()
     step = in_a_thread(retrying.execute, FORWARD)
     wait_for(lambda: len(arm.calls) == 2)
     retrying.pause("a call")
-    stop = in_a_thread(retrying.stop)
-    time.sleep(0.1)
+    with pytest.raises(CommandError, match="not responded"):
+        retrying.stop(0.1)
     assert len(arm.calls) == 2, "the command in progress has not returned"
     arm.responds.set()
     step.join(10.0)
-    stop.join(10.0)
+    wait_for(lambda: not retrying.in_control)
     later = in_a_thread(retrying.execute, FORWARD)
-    time.sleep(0.1)
+    assert paused.wait(10.0)
     assert arm.calls[2:] == [("stop",)]
     retrying.resume()
     later.join(10.0)
@@ -432,13 +449,13 @@ def test_cancel_stops_command_in_progress_without_retry(monkeypatch, camera):
     assert arm.calls == [("go_to", 0.4, 0.1, 1.0), ("stop",)]
 
 
-def test_pause_suspends_retries(arm, camera, retrying):
+def test_pause_suspends_retries(arm, camera, retrying, paused):
     camera.failures = [ObservationError("no image") for _ in range(10**4)]
     look = in_a_thread(retrying.observe, REACHED)
     wait_for(lambda: len(arm.calls) > 2)
     retrying.pause("a call")
     retrying.stop()
-    time.sleep(0.1)
+    assert paused.wait(10.0)
     assert arm.calls[-1] == ("stop",)
     camera.failures.clear()
     retrying.resume()
@@ -556,7 +573,7 @@ def test_silent_camera_of_simulation_holds_arm(simulated, camera):
     assert retrying.was_held
 
 
-def test_pause_persists_across_simulation_restart(simulated):
+def test_pause_persists_across_simulation_restart(simulated, paused):
     retrying = retrying_arm.RetryingArm(Config())
     retrying.execute(FORWARD)
     simulated.is_dead = True
@@ -567,7 +584,7 @@ def test_pause_persists_across_simulation_restart(simulated):
         retrying.stop()
     count = len(simulated.calls)
     simulated.restart()
-    time.sleep(0.1)
+    assert paused.wait(10.0)
     assert len(simulated.calls) == count
     retrying.resume()
     step.join(10.0)
@@ -595,7 +612,7 @@ def test_stop_of_simulation_releases_control(simulated):
     assert not retrying.in_control
 
 
-def test_simulation_stopped_by_timeout_is_restored_before_command(simulated):
+def test_simulation_stopped_by_timeout_returns_before_command(simulated):
     """As after a freeze of the commander: the brake of the arm has no effect on the run."""
     retrying = retrying_arm.RetryingArm(Config())
     retrying.execute(FORWARD)
@@ -606,7 +623,7 @@ def test_simulation_stopped_by_timeout_is_restored_before_command(simulated):
     assert not retrying.was_held
 
 
-def test_simulation_stopped_by_timeout_is_restored_before_image(simulated, camera):
+def test_simulation_stopped_by_timeout_returns_before_image(simulated, camera):
     retrying = retrying_arm.RetryingArm(Config())
     reached = retrying.execute(FORWARD)
     simulated.brake()

@@ -10,7 +10,7 @@ from embodied_active_learning.errors import ArmNotReadyError, RobotError, Servic
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import RobotMode
 from embodied_active_learning.franka.velocity_tracking import velocity_driver
-from embodied_active_learning.ros.arm import requested_recovery, velocity_interface, velocity_supervisor
+from embodied_active_learning.ros.arm import velocity_interface, velocity_supervisor
 from embodied_active_learning.ros.arm.velocity_interface import VelocityInterface
 
 CONFIG = Config.from_dict({"arm": {"robot": "velocity_service"}})
@@ -142,12 +142,6 @@ def test_start_that_robot_rejects_is_not_retried(lab):
     lab.start_error = None
     lab.supervisor.check()
     assert lab.starts == 0
-
-
-def test_recovery_is_rejected_while_supervisor_is_busy(lab, monkeypatch):
-    monkeypatch.setattr(requested_recovery, "LOCK_TIMEOUT", 0.0)
-    with lab.supervisor._lock, pytest.raises(ArmNotReadyError, match="call /arm/recover again later"):
-        lab.supervisor.recover()
 
 
 def set_step(monkeypatch, response):

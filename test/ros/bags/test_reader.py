@@ -10,7 +10,7 @@ import genpy
 import numpy as np
 import pytest
 import rosbag
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -155,18 +155,6 @@ def test_malformed_records_are_rejected(tmp_path, content, expected):
     assert expected in rejection(path)
 
 
-@settings(max_examples=150)
-@given(data=st.data())
-def test_mutated_bag_is_read_or_rejected(whole, tmp_path_factory, data):
-    content = bytearray(whole)
-    for _ in range(data.draw(st.integers(1, 3))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path_factory.getbasetemp() / "changed.bag"
-    path.write_bytes(content)
-    with suppress(BagError):
-        assert all(len(message.data) <= len(whole) for message in BagFile(path).read(lambda _: True))
-
-
 fields_of_record = st.dictionaries(
     st.sampled_from(["op", "conn", "time", "topic", "compression", "size", "index_pos", "x"]),
     st.one_of(
@@ -183,9 +171,8 @@ nested = st.builds(
 )
 
 
-@settings(max_examples=300)
 @given(parts=st.lists(st.one_of(records, nested, st.just(CONNECTION)), max_size=6))
-def test_well_formed_records_with_random_content_are_read_or_rejected(tmp_path_factory, parts):
+def test_records_with_random_content_are_read_or_rejected(tmp_path_factory, parts):
     path = tmp_path_factory.getbasetemp() / "random.bag"
     path.write_bytes(HEAD + b"".join(parts))
     with suppress(BagError):

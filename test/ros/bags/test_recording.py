@@ -8,7 +8,7 @@ import pytest
 import rosbag
 import rospy
 from embodied_active_learning.msg import Observation, TargetDistribution
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import Header, String
 
@@ -359,7 +359,6 @@ def valid(tmp_path_factory):
     return path.read_bytes()
 
 
-@settings(max_examples=150)
 @given(data=st.data())
 def test_mutated_recording_is_read_or_rejected(valid, tmp_path_factory, data):
     """Bytes of settings, messages and records change; also topics, so that pairs are made instead of observations."""

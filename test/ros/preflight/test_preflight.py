@@ -103,7 +103,7 @@ def test_good_images_pass():
     assert levels(images.check_content([scene(0), scene(1), scene(2)], CONFIG.camera, real=True)) == ["OK", "OK"]
 
 
-def test_covered_lens_is_an_error_unless_featureless_images_are_allowed():
+def test_covered_lens_is_an_error_unless_allowed():
     covered = np.full((180, 180, 3), 20, np.uint8)
     assert "the colour [20, 20, 20]" in images.check_content([covered], CONFIG.camera, True)[0].message
     plain = replace(CONFIG.camera, allow_featureless=True)
@@ -416,7 +416,7 @@ def test_load_differing_from_the_configured_one_is_an_error():
     assert "franka/load_mass is 0.3 kg" in result.message
 
 
-def test_camera_controls_that_differ_are_an_error_with_the_command():
+def test_other_camera_controls_are_an_error_with_the_command():
     assert robot.check_camera_controls("/dev/video0", {"auto_exposure": 1}, {}).level is Level.OK
     result = robot.check_camera_controls("/dev/video0", {"auto_exposure": 3}, {"auto_exposure": (3, 1)})
     assert result.level is Level.ERROR

@@ -26,11 +26,6 @@ def test_lookup_waits_for_master(monkeypatch, error):
     assert services.is_advertised("arm/stop")
 
 
-@pytest.mark.parametrize("error", [http.client.IncompleteRead(b""), ExpatError()])
-def test_dying_master_is_an_error_of_transport(error):
-    assert isinstance(error, services.TRANSPORT_ERRORS)
-
-
 def retrying_service(monkeypatch, *outcomes):
     """A client whose calls end one after the other with an error or a response."""
     left = list(outcomes)
