@@ -75,7 +75,7 @@ def test_nodes_do_not_keep_parameters_of_earlier_launches(path):
 def test_learn_launch_clears_private_parameters(commands):
     config = load("learn")
     private = {f"/{node.name}/" for node in config.nodes if any(f"/{node.name}/" in name for name in config.params)}
-    assert private == {"/pybullet_arm/", "/trainer/", "/ergodic_planner/", "/fingerprinter/", "/monitor/"}
+    assert private == {"/trainer/", "/ergodic_planner/", "/fingerprinter/", "/monitor/"}
     assert private <= set(config.clear_params)
 
 
