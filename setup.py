@@ -61,7 +61,7 @@ setup(
     python_requires=">=3.8",
     packages=find_packages("src"),
     package_dir={"": "src"},
-    package_data={f"{NAME}.model.native": ["*.c", "*.h"]},
+    package_data={NAME: ["py.typed"], f"{NAME}.model.native": ["*.c", "*.h"]},
     data_files=shared_files(),
     cmdclass={"build_py": BuildWithKernels},
     install_requires=REQUIREMENTS,

@@ -9,6 +9,7 @@ import argparse
 import numpy as np
 
 import embodied_active_learning as eal
+from embodied_active_learning.state_dict import matching_arrays
 
 
 @eal.EXPLORERS.register("lawnmower")
@@ -37,7 +38,7 @@ class LawnmowerExplorer(eal.Explorer):
         return {"next": np.array([self._next])}
 
     def load_state_dict(self, state):
-        self._next = int(state["next"][0])
+        self._next = int(matching_arrays(state, self.state_dict())["next"][0])
 
     @property
     def planned_states(self):
@@ -54,6 +55,5 @@ def variance(log_std, coverage):
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("steps", type=int, nargs="?", default=200)
-    steps = parser.parse_args().steps
-    config = eal.load_config("demo", explorer="lawnmower", measure="variance", steps=steps)
-    print(eal.learn(config).paths.path)
+    options = vars(parser.parse_args())
+    print(eal.learn(eal.load_config("demo", explorer="lawnmower", measure="variance", **options)).paths.path)

@@ -69,7 +69,7 @@ def main() -> None:
     half = Half(options.half)
     for condition in options.conditions:
         for number in range(options.scenes):
-            if (condition, number) not in done:
+            if (condition, half.scene_number(number)) not in done:
                 place = half.scene(condition, number)
                 found = half.search(place, *photograph(place.world, half.config, options.images, number))
                 rows += [{name: str(value) for name, value in vars(row).items()} for row in found]
@@ -101,8 +101,12 @@ class Half:
         }
 
     def scene(self, condition: str, number: int) -> Place:
-        """Return a scene; those of the halves have different numbers."""
-        return self._scenes.draw(condition, 2 * number + self._half)
+        """Return a scene by its number within the half."""
+        return self._scenes.draw(condition, self.scene_number(number))
+
+    def scene_number(self, number: int) -> int:
+        """Return the number of a scene in both halves, as the table has it."""
+        return 2 * number + self._half
 
     def search(self, place: Place, states: np.ndarray, images: np.ndarray) -> List[Row]:
         """Decide about all fingerprints in images (N, H, W, 3) from states (N, 3), and judge the decisions."""

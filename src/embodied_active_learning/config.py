@@ -303,7 +303,7 @@ class Config:
     def __post_init__(self) -> None:
         """Check relations between settings. Raises ConfigError."""
         box, training, steps = self.workspace.box(), self.training, self.exploration.steps
-        start = list(self.simulation.start)
+        start, ticks = list(self.simulation.start), self.exploration.step_duration * self.simulation.physics_rate
         problems = (
             (
                 self.arm.robot == SIMULATED and not box.contains(start),
@@ -312,6 +312,11 @@ class Config:
             (
                 self.arm.robot == SIMULATED and self.camera.latency > 0.0,
                 f"camera/latency is {self.camera.latency:g} s, but the simulated camera has none: set it to 0",
+            ),
+            (
+                self.arm.robot == SIMULATED and not _is_whole(ticks),
+                f"exploration/step_duration is {self.exploration.step_duration:g} s, {ticks:g} physics steps "
+                f"(simulation/physics_rate {self.simulation.physics_rate}): set it to a whole number of steps",
             ),
             (
                 self.exploration.step_duration > self.arm.max_duration,
@@ -376,6 +381,11 @@ class Config:
         del sections["session"]
         sections["simulation"]["world"] = Path(self.simulation.world).stem
         return sections
+
+
+def _is_whole(number: float) -> bool:
+    """Return whether a positive number is whole, up to rounding, and at least 1."""
+    return round(number) >= 1 and abs(number - round(number)) <= 1e-6 * number
 
 
 def load_profile(path: Path) -> Dict[str, Any]:

@@ -9,11 +9,6 @@ import numpy as np
 
 from embodied_active_learning.config import CameraConfig
 
-Location = Tuple[str, float, float]
-"""Name or kind of an object, and its true position x [m], y [m]."""
-FIELD_TOLERANCE = 0.03
-"""Relative difference between calibrated and configured field of view above which a warning is logged."""
-
 
 def rotation_matrix(x: float, y: float, z: float, w: float) -> np.ndarray:
     """Return the rotation matrix (3, 3) of a unit quaternion."""

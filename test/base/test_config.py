@@ -34,6 +34,7 @@ import generate_docs  # noqa: E402  lies in tools/, which is no package
         ),
         ({"camera": {"latency": 0.05}}, "camera/latency is 0.05 s, but the simulated camera has none"),
         ({"simulation": {"start": [0.0, 0.0, 0.0]}}, "simulation/start [0.0, 0.0, 0.0] is outside the workspace"),
+        ({"exploration": {"step_duration": 0.01}}, "exploration/step_duration is 0.01 s, 2.4 physics steps"),
         ({"exploration": {"steps": 20}}, "exploration/steps is 20, fewer than training/first_update_at (64)"),
         ({"training": {"batch_size": 100}}, "training/batch_size is larger than training/first_update_at"),
         ({"model": {"channels": [10]}}, "model: channels, kernels and strides differ in length"),

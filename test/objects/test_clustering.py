@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from embodied_active_learning.config import Config
+from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.geometry import pose_distance
-from embodied_active_learning.objects.clustering import find_objects
+from embodied_active_learning.objects.clustering import find_objects, warn_about_bandwidth
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.foreground_map import ForegroundMap
 from painted_table import Thing, paint, random_states
@@ -253,8 +253,7 @@ def test_camera_clustering_uses_camera_states():
     ("clustering", "bandwidth", "warned"), [("camera", 0.045, True), ("camera", 0.09, False), ("table", 0.09, True)]
 )
 def test_bandwidth_that_does_not_fit_clustering_is_warned_about(caplog, clustering, bandwidth, warned):
-    config = configuration({"clustering": clustering, "bandwidth": bandwidth, "min_contrast": 100.0})
-    cluster_table(TWO, config, count=30)
+    warn_about_bandwidth(FingerprintConfig(clustering=clustering, bandwidth=bandwidth))
     expected = f"fingerprint/bandwidth {bandwidth} m does not fit clustering: {clustering}"
     assert (expected in caplog.text) is warned
 

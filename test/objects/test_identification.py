@@ -13,7 +13,7 @@ import pytest
 from embodied_active_learning.config import CameraConfig, FingerprintConfig, IdentificationConfig
 from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.geometry import pose_distance
-from embodied_active_learning.objects import identification, scene_views, search_target
+from embodied_active_learning.objects import identification, scene_views, search_target, similarity
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.calibration import calibrate
 from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED
@@ -149,6 +149,18 @@ def test_all_instances_found_most_similar_first():
     residuals = [item.residual for item in of(decisions, "object-1")]
     assert residuals == sorted(residuals)
     assert_not_found(of(decisions, "object-2"))
+
+
+@pytest.mark.parametrize("yaw", [0.0, math.pi])
+def test_instances_beside_each_other_are_found_with_any_centre(yaw):
+    """Instances are told apart by where the object is visible, not by where clustering has put its centre."""
+    red = LEARNED.fingerprints[0]
+    cosine, sine = math.cos(red.centre[2]), math.sin(red.centre[2])
+    centre = red.centre + 0.015 * np.array([cosine, sine, 0.0])
+    sets = (replace(LEARNED, fingerprints=(replace(red, centre=centre),)),)
+    left, right = (0.43, 0.0, yaw), (0.50, 0.0, yaw)  # 7 cm apart, separation 6 cm
+    images = stream((put(RED, left), put(RED, right)), around=(left, right))
+    assert_found(of(identify(images, sets), "object-1"), [left, right])
 
 
 @pytest.mark.parametrize("change", [lambda images: images // 2, lambda images: images * 0.75])
@@ -493,6 +505,13 @@ def test_place_with_too_few_views_is_open():
     assert (red.outcome, red.reason) == (UNDECIDED, "a candidate place has too few views: take more images")
     assert not search.all_closed
     assert np.hypot(*(search.open_places - HERE[:2]).T).min() < 0.02
+
+
+def test_place_that_no_view_shows_is_undecided(monkeypatch):
+    monkeypatch.setattr(similarity, "_MIN_INSIDE", 2.0)  # of the points of an object
+    red = of(identify(stream()), "object-1")[0]
+    assert (red.outcome, red.reason) == (UNDECIDED, "no image shows enough of a candidate place: take more images")
+    assert math.isinf(red.residual)
 
 
 def test_distant_views_suffice_where_nothing_is_similar():

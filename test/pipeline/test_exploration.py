@@ -7,6 +7,7 @@ from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
 from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
 from embodied_active_learning.pipeline.exploration import ExplorationRun, await_log_std, first_command
+from embodied_active_learning.registry import INFORMATION_MEASURES
 
 
 def configured(explorer="ergodic", **exploration):
@@ -49,6 +50,26 @@ def test_command_of_another_type_is_an_error():
     run._explorer.next_command = lambda *_arguments: (0.4, 0.0, 0.0)
     with pytest.raises(EmbodiedActiveLearningError, match="expected a PoseCommand or VelocityCommand"):
         run.next_command()
+
+
+@pytest.mark.parametrize(
+    ("target", "problem"),
+    [
+        (lambda log_std: log_std - 10.0, "negative values"),
+        (lambda log_std: np.full((len(log_std), 1), 1.0), r"shape \(200, 1\)"),
+        (lambda log_std: log_std * np.nan, "values that are not finite"),
+        (lambda log_std: 0.0 * log_std, "only zeros"),
+    ],
+)
+def test_measure_that_returns_no_distribution_is_an_error(target, problem):
+    INFORMATION_MEASURES.register("test_invalid")(lambda log_std, coverage: target(log_std))
+    try:
+        run = ExplorationRun(configured("random_walk", measure="test_invalid"))
+        run.observe(np.array([0.4, 0.0, 0.0]), np.zeros(3))
+        with pytest.raises(EmbodiedActiveLearningError, match=f"exploration/measure. returned {problem}: return 200"):
+            run.evaluate_step(np.ones(200))
+    finally:
+        INFORMATION_MEASURES.unregister("test_invalid")
 
 
 def test_distance_and_turning_sum_state_changes():

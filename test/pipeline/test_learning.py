@@ -22,6 +22,7 @@ from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.stored_config import write_stored_config
 from embodied_active_learning.session.summary import read_summary
+from embodied_active_learning.simulation.world import find_world
 from embodied_active_learning.sweep.run_records import load_record
 from tiny import STEPS, TINY
 
@@ -224,8 +225,10 @@ def test_session_is_loaded_by_object_path_and_name(learned, tmp_path, monkeypatc
 
 
 def test_config_keys_are_given_by_name_or_section(tmp_path):
-    config = tiny(tmp_path, world="right", planner={"horizon": 5})
-    assert (config.planner.horizon, config.exploration.steps) == (5, STEPS)
+    config = eal.load_config(
+        "demo", root=tmp_path, steps=80, world=find_world("right"), exploration={"steps": 90, "seed": 5}
+    )
+    assert (config.exploration.seed, config.exploration.steps) == (5, 80)
     assert config.simulation.world.endswith("right.yaml")
 
 
@@ -235,6 +238,7 @@ def test_config_keys_are_given_by_name_or_section(tmp_path):
         ({"stepps": 3}, "unknown key stepps: did you mean steps"),
         ({"samples": 3}, r"samples is a key of several sections: give exploration={'samples': ...} or fingerprint="),
         ({"exploration": {"stepps": 3}}, "unknown key exploration/stepps: did you mean exploration/steps"),
+        ({"planner": 5}, "section planner is 5: give a dictionary of its keys"),
         ({"seed": "x"}, "exploration/seed is 'x': expected a whole number"),
     ],
 )

@@ -21,6 +21,11 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 WORKSPACE = Workspace()
 
 
+def test_random_world_without_kinds_is_refused():
+    with pytest.raises(WorldError, match="kinds is empty"):
+        random_world(0, kinds=())
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_random_world_is_valid_and_spaced(tmp_path, seed):
     settings = random_world(seed, count=4, spacing=0.09, distractors=2, kinds=("duck", "star"), lighting=True)

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from embodied_active_learning.config import CameraConfig
+from embodied_active_learning.config import CameraConfig, Config
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.geometry import optical_rotation
 from embodied_active_learning.simulation import scene as scene_module
 from embodied_active_learning.simulation.scene import Scene
+from embodied_active_learning.simulation.truth import true_objects, true_scene
 from embodied_active_learning.simulation.world import load_world, world_names
 from embodied_active_learning.workspace import Workspace
 
@@ -129,6 +130,13 @@ def test_position_is_centre_of_mesh(scene, kind, yaw):
     size = np.array([np.ptp(columns), np.ptp(rows)]) * 0.5e-3
     expected = view.objects[0].extent[:2] if yaw != math.pi / 2 else view.objects[0].extent[1::-1]
     np.testing.assert_allclose(size, expected, rtol=0.06)
+
+
+def test_unknown_truth_is_an_error_for_measurements_only(tmp_path):
+    config = Config.from_dict({"simulation": {"world": str(tmp_path / "gone.yaml")}})
+    with pytest.raises(WorldError, match=r"gone\.yaml"):
+        true_objects(config)
+    assert true_scene(config).objects == ()
 
 
 def test_true_objects_match_world():

@@ -53,6 +53,11 @@ def test_invalid_spec_is_refused(tmp_path, before, after, message):
         load(tmp_path, SPEC.replace(before, after))
 
 
+def test_spec_without_runs_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no runs: give at least one world"):
+        load(tmp_path, "worlds: []\nseeds: [1]\n")
+
+
 def test_differences_name_changed_settings(tmp_path):
     stored = load(tmp_path, SPEC).runs[0].config
     changed = load(tmp_path, SPEC.replace("steps: 300", "steps: 400, samples: 500")).runs[0].config

@@ -154,6 +154,14 @@ def test_failed_run_does_not_stop_the_others(tmp_path, monkeypatch):
     assert "completed" in lines
 
 
+def test_damaged_table_does_not_stop_the_report(copied):
+    shutil.rmtree(copied / "records")
+    job = jobs_of(copied)[0]
+    (job.session / "summary.yaml").unlink()
+    (job.session / "training.csv").write_text("loss\nnone", encoding="utf-8")
+    assert runner.total_progress([job]).step == 0
+
+
 def test_diverged_run_is_recorded_as_failed(copied, monkeypatch):
     def diverge(config):
         raise DivergenceError("too large")

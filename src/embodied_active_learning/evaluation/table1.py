@@ -12,10 +12,9 @@ from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
 from embodied_active_learning.config import BELIEF
 from embodied_active_learning.errors import SessionError
 from embodied_active_learning.evaluation.result_tables import binomial_interval
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
-from embodied_active_learning.objects.scoring import SAME_PLACE, Truth, nearest, score, true_kinds
+from embodied_active_learning.objects.scoring import SAME_PLACE, TrueObject, Truth, nearest, score, true_kinds
 from embodied_active_learning.pipeline.api import fingerprint, identify
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session
@@ -64,7 +63,7 @@ def measure(model: Session, images_of: Session, images: int) -> Iterator[Dict[st
 
 
 def keep_counted(
-    decisions: Sequence[Decision], session: str, kinds: Mapping[str, str], objects: Sequence[Location]
+    decisions: Sequence[Decision], session: str, kinds: Mapping[str, str], objects: Sequence[TrueObject]
 ) -> List[Decision]:
     """Return as many of the best beliefs of each fingerprint as there are objects of its kind; one of a blank."""
     kept: List[Decision] = []
@@ -75,7 +74,7 @@ def keep_counted(
 
 
 def successes(
-    decisions: Sequence[Decision], session: str, kinds: Mapping[str, str], kind: str, objects: Sequence[Location]
+    decisions: Sequence[Decision], session: str, kinds: Mapping[str, str], kind: str, objects: Sequence[TrueObject]
 ) -> Tuple[int, int]:
     """Return successes and tests of the fingerprints of a kind: all its objects for each of them.
 

@@ -101,11 +101,11 @@ def optimise_trajectory(
     for _ in range(iterations):
         by_state, by_control = problem.gradients(states, controls)
         towards_state, towards_control = _direction(a, b, gains, inverses, feedback, by_state, by_control)
-        slope = float(np.sum(by_state * towards_state) + np.sum(by_control * towards_control))
+        directional_derivative = float(np.sum(by_state * towards_state) + np.sum(by_control * towards_control))
         size = 1.0
         while size > _SMALLEST:
             changed = problem.cost(states + size * towards_state, controls + size * towards_control)
-            if changed <= cost + _SUFFICIENT * size * slope:
+            if changed <= cost + _SUFFICIENT * size * directional_derivative:
                 break
             size *= _SHRINK
         if size <= _SMALLEST:

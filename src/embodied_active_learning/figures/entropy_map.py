@@ -24,8 +24,8 @@ from embodied_active_learning.figures.workspace_axes import (
     mark_objects,
     show_workspace,
 )
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.model.trained_model import TrainedModel
+from embodied_active_learning.objects.scoring import TrueObject
 from embodied_active_learning.session.observations import Observations
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.subsampling import spread_indices
@@ -43,7 +43,7 @@ def draw_entropy(
     session: Session,
     model: TrainedModel,
     images: SessionImages,
-    objects: Sequence[Location] = (),
+    objects: Sequence[TrueObject] = (),
     pdf: bool = False,
 ) -> Path:
     """Draw the mean map, visited states and the table from above; below, maps at three yaws. One colour scale."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import NamedTuple, Sequence
 
@@ -66,7 +67,9 @@ def _draw_row(row: Evidence, axes: Sequence[Axes], views: SceneViews) -> None:
         _show(axis, found.reshape(SIDE, SIDE, 3))
     _mark(axes[3], appearance.inside_points[stored], of_object, "o")
     _mark(axes[3], appearance.ring_points[stored], 1.0 - of_ring, "x")
-    axes[3].set_xlabel(_wrapped(decision.reason), fontsize=SMALL)
+    axes[3].set_xlabel(
+        textwrap.fill(decision.reason, _LINE_LENGTH, max_lines=_LINES, placeholder="..."), fontsize=SMALL
+    )
 
 
 def _mark(axes: Axes, points: np.ndarray, values: np.ndarray, marker: str) -> None:
@@ -78,13 +81,3 @@ def _mark(axes: Axes, points: np.ndarray, values: np.ndarray, marker: str) -> No
 def _show(axes: Axes, picture: np.ndarray) -> None:
     """Show a rectified view (SIDE, SIDE, 3) in cm around the fingerprint's centre."""
     axes.imshow(picture, origin="lower", extent=(-_EXTENT, _EXTENT, -_EXTENT, _EXTENT))
-
-
-def _wrapped(text: str) -> str:
-    """The first lines of a text."""
-    words, lines = text.split(), [""]
-    for word in words:
-        if len(lines[-1]) + len(word) > _LINE_LENGTH:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return "\n".join(lines[:_LINES]) + ("..." if len(lines) > _LINES else "")

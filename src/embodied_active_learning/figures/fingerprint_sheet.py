@@ -31,8 +31,8 @@ from embodied_active_learning.figures.workspace_axes import (
     show_extent,
     show_workspace,
 )
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import BLANK, Fingerprint, FingerprintSet
+from embodied_active_learning.objects.scoring import TrueObject
 from embodied_active_learning.subsampling import spread_indices
 from embodied_active_learning.workspace import Workspace
 
@@ -49,7 +49,7 @@ _VIEWS_WIDTH = 4.0
 
 
 @default_style
-def draw_fingerprints(path: Path, found: FingerprintSet, objects: Sequence[Location] = (), pdf: bool = False) -> Path:
+def draw_fingerprints(path: Path, found: FingerprintSet, objects: Sequence[TrueObject] = (), pdf: bool = False) -> Path:
     """Draw a row per fingerprint: thumbnail, views in order of time, and two maps of their camera states.
 
     objects: the true objects, where they are known.
@@ -57,7 +57,7 @@ def draw_fingerprints(path: Path, found: FingerprintSet, objects: Sequence[Locat
     return save(fingerprints_figure(found, objects), path, pdf)
 
 
-def fingerprints_figure(found: FingerprintSet, objects: Sequence[Location] = ()) -> Figure:
+def fingerprints_figure(found: FingerprintSet, objects: Sequence[TrueObject] = ()) -> Figure:
     """Return the figure of draw_fingerprints."""
     count = len(found.fingerprints)
     figure = new_figure(_WIDTH, _TOP + _PITCH * max(count, 1) - 0.3, constrained=False)
@@ -73,7 +73,7 @@ def fingerprints_figure(found: FingerprintSet, objects: Sequence[Location] = ())
 
 
 def _draw_row(
-    figure: Figure, top: float, fingerprint: Fingerprint, workspace: Workspace, objects: Sequence[Location]
+    figure: Figure, top: float, fingerprint: Fingerprint, workspace: Workspace, objects: Sequence[TrueObject]
 ) -> None:
     """Draw the row of one fingerprint."""
     write(figure, _LEFT["thumbnail"], top - 0.42, fingerprint.name, LARGE, weight="bold")
@@ -87,7 +87,7 @@ def _draw_row(
     _draw_enlarged(place(figure, _LEFT["close"], top, _HEIGHT, _HEIGHT), fingerprint, objects)
 
 
-def _draw_map(axes: Axes, fingerprint: Fingerprint, workspace: Workspace, objects: Sequence[Location]) -> None:
+def _draw_map(axes: Axes, fingerprint: Fingerprint, workspace: Workspace, objects: Sequence[TrueObject]) -> None:
     """Draw the camera states in the whole workspace."""
     axes.set_facecolor(UNSEEN)
     show_workspace(axes, workspace)
@@ -99,7 +99,7 @@ def _draw_map(axes: Axes, fingerprint: Fingerprint, workspace: Workspace, object
     axes.set_title("in the workspace", fontsize=MEDIUM)
 
 
-def _draw_enlarged(axes: Axes, fingerprint: Fingerprint, objects: Sequence[Location]) -> None:
+def _draw_enlarged(axes: Axes, fingerprint: Fingerprint, objects: Sequence[TrueObject]) -> None:
     """Draw the camera states in the dashed box."""
     axes.set_facecolor(UNSEEN)
     show_extent(axes, _enlarged_extent(fingerprint))

@@ -11,14 +11,14 @@ from embodied_active_learning.figures.learning_metrics import draw_learning_metr
 from embodied_active_learning.figures.reconstructions import draw_reconstructions
 from embodied_active_learning.figures.stopping import draw_stopping
 from embodied_active_learning.figures.top_view import load_session_images
-from embodied_active_learning.geometry import Location
+from embodied_active_learning.objects.scoring import TrueObject
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.session_model import load_session_model
 
 _LOG = logging.getLogger(__name__)
 
 
-def draw_session_figures(session: Session, objects: Sequence[Location] = ()) -> List[Path]:
+def draw_session_figures(session: Session, objects: Sequence[TrueObject] = ()) -> List[Path]:
     """Draw the learning metrics, the entropy map and reconstructions into the session's figures/.
 
     Entropy map and reconstructions need a trained model and are skipped without one.

@@ -15,10 +15,9 @@ from matplotlib.patches import Rectangle
 
 from embodied_active_learning.figures.style import MAP_COLOURS, MEDIUM, SMALL, UNSEEN, colour, label, style_axes
 from embodied_active_learning.figures.top_view import TopView
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import NOT_HERE, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.scoring import Truth
+from embodied_active_learning.objects.scoring import TrueObject, Truth
 from embodied_active_learning.objects.unknown import UnknownObject
 from embodied_active_learning.workspace import Workspace
 
@@ -93,7 +92,7 @@ def draw_image(axes: Axes, image: np.ndarray, caption: str = "") -> None:
     axes.set_xlabel(caption, fontsize=SMALL, labelpad=2)
 
 
-def mark_objects(axes: Axes, objects: Sequence[Location], behind: bool = False) -> None:
+def mark_objects(axes: Axes, objects: Sequence[TrueObject], behind: bool = False) -> None:
     """Mark the true objects; set the limits of the axes first.
 
     behind: draw larger crosses that stay visible behind the markers of decisions.

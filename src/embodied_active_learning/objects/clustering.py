@@ -106,7 +106,6 @@ def find_objects(
         blank: Whether to locate a blank region, which takes half of the time.
     """
     settings, random = config.fingerprint, generator(seed, Stream.CLUSTERING)
-    _warn_about_bandwidth(settings)
     chosen = np.sort(random.choice(len(states), min(settings.latents, len(states)), replace=False))
     latents, _ = model.encode(states[chosen], images[chosen])
     workspace = config.workspace.box()
@@ -157,7 +156,7 @@ def _sample_entropy(
     return states, np.exp(model.log_std(latents, states)).mean(axis=0)
 
 
-def _warn_about_bandwidth(settings: FingerprintConfig) -> None:
+def warn_about_bandwidth(settings: FingerprintConfig) -> None:
     """Log a warning if the bandwidth does not fit the kind of clustering."""
     low, high = _FITTING_BANDWIDTHS[settings.clustering]
     if not low <= settings.bandwidth <= high:

@@ -20,9 +20,10 @@ from embodied_active_learning.objects.decision import FOUND, NOT_HERE, UNDECIDED
 from embodied_active_learning.objects.fingerprint import BLANK
 from embodied_active_learning.objects.limits import Limits
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.pose_search import MIN_VIEWS, Candidate, propose, refine
+from embodied_active_learning.objects.pose_search import MIN_VIEWS, RefinedPose, propose, refine
 from embodied_active_learning.objects.scene_views import Mosaic, ObservedScene, SceneViews
 from embodied_active_learning.objects.search_target import SearchTarget
+from embodied_active_learning.objects.similarity import NOT_SHOWN
 
 _YAWS = 3
 """Yaws of a belief's peak from which the pose is searched, highest belief first."""
@@ -152,10 +153,10 @@ class ViewRule(DecisionRule):
             for starts in places
         ]
         decisions: List[Decision] = []
-        for candidate in sorted(found, key=lambda item: -item.similarity):
-            apart = [pose_distance(candidate.pose, other.pose)[0] >= settings.separation for other in decisions]
-            if all(apart):
-                decisions.append(self._judge(target, candidate, scene, table_match))
+        for refined in sorted(found, key=lambda item: -item.similarity):
+            decision = self._judge(target, refined, scene, table_match)
+            if all(pose_distance(decision.pose, other.pose)[0] >= settings.separation for other in decisions):
+                decisions.append(decision)
         return decisions
 
     def is_open(self, target: SearchTarget, resolved: Sequence[Decision], scene: ObservedScene) -> bool:
@@ -180,22 +181,29 @@ class ViewRule(DecisionRule):
         """Prefer the smallest residual."""
         return decision.residual
 
-    def _judge(self, target: SearchTarget, candidate: Candidate, scene: ObservedScene, table_match: float) -> Decision:
-        """Decide at a candidate pose, given the share of the scene in the object's colours."""
-        limits, value = target.calibration.limits(self._settings.error_rate), candidate.similarity
+    def _judge(self, target: SearchTarget, refined: RefinedPose, scene: ObservedScene, table_match: float) -> Decision:
+        """Decide at a pose of the fingerprint's centre, given the share of the scene in the object's colours.
+
+        The pose of the decision is that of the object's visible middle; beliefs refer to the centre.
+        """
+        limits, value = target.calibration.limits(self._settings.error_rate), refined.similarity
         unseen = self._unseen(scene.mosaic)
-        if candidate.near < MIN_VIEWS and not _is_clearly_below(value, limits.miss):
+        if value <= NOT_SHOWN:
+            outcome, reason = UNDECIDED, unseen or "no image shows enough of a candidate place: take more images"
+        elif refined.near < MIN_VIEWS and not _is_clearly_below(value, limits.miss):
             outcome, reason = UNDECIDED, unseen or "a candidate place has too few views: take more images"
         elif value >= limits.miss:
-            in_plane = target.has_height and _is_in_table_plane(target, scene.views, candidate.pose)
+            in_plane = target.without_prints and _is_in_table_plane(target, scene.views, refined.pose)
             outcome, reason = _judge_similar(value, limits, in_plane)
         else:
             outcome, reason = _judge_dissimilar(value, limits, unseen, table_match)
+        is_compared = refined.near >= MIN_VIEWS and value > NOT_SHOWN
         return replace(
-            self._decision(target, target.appearance.middle_at(candidate.pose), outcome, reason),
+            self._decision(target, refined.pose, outcome, reason),
+            pose=target.appearance.middle_at(refined.pose),
             confidence=target.calibration.confidence(value),
-            residual=1.0 - value if candidate.near >= MIN_VIEWS else np.inf,
-            views=candidate.near,
+            residual=1.0 - value if is_compared else np.inf,
+            views=refined.near,
         )
 
     def _unseen(self, mosaic: Mosaic) -> str:
@@ -282,8 +290,8 @@ def _judge_dissimilar(value: float, limits: Limits, unseen: str, table_match: fl
 
 
 def _is_clearly_below(value: float, miss: float, contrast: float = 1.0) -> bool:
-    """Whether a known similarity (above -1) is too low for the object. contrast: factor by which a table lowers it."""
-    return -1.0 < value < min(contrast * _CLEARLY_BELOW * miss, miss)
+    """Whether a similarity above NOT_SHOWN is too low for the object. contrast: factor by which a table lowers it."""
+    return NOT_SHOWN < value < min(contrast * _CLEARLY_BELOW * miss, miss)
 
 
 def _is_in_table_plane(target: SearchTarget, views: SceneViews, pose: np.ndarray) -> bool:

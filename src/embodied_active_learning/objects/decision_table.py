@@ -6,10 +6,9 @@ from typing import Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.scoring import NO_TRUTH, SAME_PLACE, Truth, nearest
+from embodied_active_learning.objects.scoring import NO_TRUTH, SAME_PLACE, TrueObject, Truth, nearest
 from embodied_active_learning.objects.unknown import UnknownObject
 
 _COLUMNS = ("fingerprint", "kind", "outcome", "x [m]", "y [m]", "yaw [rad]", "confidence", "error [cm]", "reason")
@@ -54,7 +53,7 @@ def _outcome(decision: Decision, truth: Truth) -> str:
     return f"found, place {decision.instance}"
 
 
-def _at(pose: np.ndarray, objects: Sequence[Location]) -> str:
+def _at(pose: np.ndarray, objects: Sequence[TrueObject]) -> str:
     """What is at a place of the table."""
     kind, distance = nearest(pose, objects)
     if distance > SAME_PLACE:

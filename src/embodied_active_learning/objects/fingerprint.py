@@ -89,7 +89,8 @@ class FingerprintSet:
     Attributes:
         session: Name of the session.
         updates: Number of updates of the model.
-        observations: Number of observations the model had learned from.
+        observations: Number of observations that were stored when it was made; a model that is still learning has
+            learned from fewer.
         created: UTC time, ISO 8601 with its offset.
         config: The session's configuration.
         weights: Parameters of the network by name (model/learner_state.py, `network_weights`).
@@ -124,7 +125,7 @@ class FingerprintSet:
             _check_fits(fingerprint, self.config)
 
     @property
-    def has_heights(self) -> bool:
+    def without_prints(self) -> bool:
         """Whether all objects stand on the table, because prints were left out when the fingerprints were made."""
         settings = self.config.fingerprint
         return settings.clustering == TABLE and not settings.prints

@@ -22,6 +22,7 @@ from embodied_active_learning.objects.scene_views import MOSAIC_PIXEL, Mosaic, S
 from embodied_active_learning.objects.similarity import (
     COLOUR_SCALE,
     LUMINANCE_SCALE,
+    NOT_SHOWN,
     Indices,
     Views,
     nearest_stored_views,
@@ -54,12 +55,12 @@ _STEPS = ((0.004, 0.09), (0.003, 0.06), (0.0015, 0.03))
 """Steps [m, rad] of the searches around a start, around the best result, and around the best result again."""
 
 
-class Candidate(NamedTuple):
-    """A place where an object may be.
+class RefinedPose(NamedTuple):
+    """The most similar pose at a candidate place.
 
     Attributes:
-        pose: (3,) x [m], y [m], theta [rad].
-        similarity: Median over the views, 1 at best; -1 if no view shows enough of the place.
+        pose: (3,) x [m], y [m], theta [rad] of the fingerprint's centre.
+        similarity: Median over the views, 1 at best; NOT_SHOWN if no view shows enough of the place.
         near: Number of images from near the place.
     """
 
@@ -110,8 +111,8 @@ def refine(
     starts: np.ndarray,
     settings: IdentificationConfig,
     above: np.ndarray,
-    miss: float = -1.0,
-) -> Candidate:
+    miss: float = NOT_SHOWN,
+) -> RefinedPose:
     """Return the most similar pose near the starts (Y, 3) at one place.
 
     Args:
@@ -127,10 +128,10 @@ def refine(
     if near < MIN_VIEWS:
         chosen = views.nearest(above, MIN_VIEWS, _FAR * settings.view_distance)
     if not len(chosen):
-        return Candidate(starts[0], -1.0, near)
+        return RefinedPose(starts[0], NOT_SHOWN, near)
     pose = best_pose(appearance, views, chosen, starts, min_similarity=_PROMISING * miss)
     value = similarity(appearance, views, chosen, nearest_stored_views(appearance, views, chosen, pose), pose[None])
-    return Candidate(pose, float(value[0]), near)
+    return RefinedPose(pose, float(value[0]), near)
 
 
 def best_pose(
@@ -139,7 +140,7 @@ def best_pose(
     chosen: Indices,
     starts: np.ndarray,
     excluded: Indices = (),
-    min_similarity: float = -1.0,
+    min_similarity: float = NOT_SHOWN,
     stride: int = 4,
 ) -> np.ndarray:
     """Return the most similar pose (3,) that a search from the starts (Y, 3) reaches.
@@ -171,7 +172,7 @@ def _climb(
     appearance: Appearance, views: Views, chosen: Indices, pose: np.ndarray, excluded: Indices = ()
 ) -> Tuple[np.ndarray, float]:
     """Return a more similar pose (3,) close to a pose (3,), and its similarity in half of the points."""
-    value = -1.0
+    value = NOT_SHOWN
     for step in _STEPS[1:]:
         stored = nearest_stored_views(appearance, views, chosen, pose, excluded)
         near = _around(pose, *step)

@@ -8,9 +8,17 @@ from typing import Dict, List, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
+
+
+class TrueObject(NamedTuple):
+    """An object of the true scene: its kind, and its place x, y [m]."""
+
+    kind: str
+    x: float
+    y: float
+
 
 SAME_PLACE = 0.03
 """Distance [m] within which a decision, or a fingerprint's centre, belongs to an object."""
@@ -25,7 +33,7 @@ class Truth:
         kinds: True kind of each known fingerprint by (session, name): kind of object, BLANK, or "" for no object.
     """
 
-    objects: Sequence[Location] = ()
+    objects: Sequence[TrueObject] = ()
     kinds: Dict[Tuple[str, str], str] = field(default_factory=dict)
 
     def is_false_claim(self, decision: Decision) -> bool:
@@ -57,14 +65,14 @@ class Score(NamedTuple):
     false_claims: int
 
 
-def nearest(pose: np.ndarray, objects: Sequence[Location]) -> Tuple[str, float]:
+def nearest(pose: np.ndarray, objects: Sequence[TrueObject]) -> Tuple[str, float]:
     """Return the kind of the object nearest to a pose (3,) and its distance [m]; "" and infinity without objects."""
     distances = [(math.hypot(pose[0] - x, pose[1] - y), kind) for kind, x, y in objects]
     distance, kind = min(distances, default=(math.inf, ""))
     return kind, distance
 
 
-def true_kinds(found: FingerprintSet, objects: Sequence[Location]) -> Dict[str, str]:
+def true_kinds(found: FingerprintSet, objects: Sequence[TrueObject]) -> Dict[str, str]:
     """Return the true kind of each fingerprint by name: that of the object at its centre, BLANK, or ""."""
     kinds = {}
     for item in found.fingerprints:

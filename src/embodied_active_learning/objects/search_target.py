@@ -41,7 +41,7 @@ class SearchTarget:
         """
         self.session = fingerprint_set.session
         self.fingerprint = fingerprint
-        self.has_height = fingerprint_set.has_heights
+        self.without_prints = fingerprint_set.without_prints
         self.model = model
         self.threshold = threshold
         self.grid = grid

@@ -25,6 +25,8 @@ from embodied_active_learning.objects.colours import (
 from embodied_active_learning.objects.medians import masked_median
 
 Indices = Union[Sequence[int], np.ndarray]
+NOT_SHOWN = -1.0
+"""Similarity where no view shows enough of the object; the lowest one."""
 LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
 """Differences of log luminance and of colour at which a match is 1/2. The object's own contrast is added:
 shading moves over an object that is turned under a fixed light."""
@@ -79,7 +81,7 @@ def similarity(
     poses: np.ndarray,
     stride: int = 1,
 ) -> np.ndarray:
-    """Return the median similarity (P,) over views at each of P poses; -1 where no view shows enough of the object.
+    """Return the median similarity (P,) over views at P poses; NOT_SHOWN where no view shows enough of the object.
 
     Args:
         appearance: The object.
@@ -90,7 +92,7 @@ def similarity(
         stride: Use every n-th point only.
     """
     values = np.array([_in_view(appearance, views, one, other, poses, stride) for one, other in zip(chosen, stored)])
-    return masked_median(values, values >= -1.0 + 1e-6, 0, -1.0)
+    return masked_median(values, values > NOT_SHOWN, 0, NOT_SHOWN)
 
 
 def nearest_stored_views(
@@ -121,14 +123,14 @@ def _scale(appearance: Appearance) -> Tuple[float, float]:
 def _in_view(
     appearance: Appearance, views: Views, view: int, stored: int, poses: np.ndarray, stride: int
 ) -> np.ndarray:
-    """Similarity (P,) in one view; -1 where it does not show enough of the object."""
+    """Similarity (P,) in one view; NOT_SHOWN where it does not show enough of the object."""
     inside, ring = _points(appearance, stored, stride)
     seen, inside_valid = views.features(view, to_base_frame(inside.positions, poses))
     seen_ring, ring_valid = views.features(view, to_base_frame(ring.positions, poses))
     match, match_of_ring = _matches(seen, inside_valid, seen_ring, inside, ring, _scale(appearance))
     of_inside, of_ring = _mean(match, inside_valid), _mean(match_of_ring, ring_valid)
     of_ring = np.where(ring_valid.mean(axis=1) < _MIN_RING, _UNSEEN_RING, of_ring)
-    return np.where(inside_valid.mean(axis=1) < _MIN_INSIDE, -1.0, of_inside - of_ring)
+    return np.where(inside_valid.mean(axis=1) < _MIN_INSIDE, NOT_SHOWN, of_inside - of_ring)
 
 
 def _points(appearance: Appearance, stored: int, stride: int = 1) -> Tuple[Points, Points]:

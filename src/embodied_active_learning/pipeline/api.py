@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from numbers import Real
@@ -25,6 +26,7 @@ from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.simulation.simulation import Simulation
 from embodied_active_learning.simulation.world import load_world
 
+LOG = logging.getLogger(__name__)
 SessionLike = Union[Session, Path, str]
 """A session, its folder, or its name below the default session/root."""
 FingerprintsLike = Union[SessionLike, FingerprintSet]
@@ -37,7 +39,7 @@ def load_config(profile: str = "", **overrides: Any) -> Config:
     Args:
         profile: Name of a profile in config/, or path of a YAML file. Without one, the defaults.
         **overrides: Keys that are unique among all sections (`world="right", steps=300`), and sections with their keys
-            (`exploration={"samples": 500}`).
+            (`exploration={"samples": 500}`). Of a key given in both ways, the first one counts.
 
     Raises:
         ConfigError: Unknown or ambiguous key, or invalid value.
@@ -92,6 +94,7 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
     run = FingerprintRun(found.paths.path, config.fingerprint, from_stored)
     if run.clustering.low_contrast:
         raise ObservationError(run.summary)
+    LOG.info("%s", run.summary)
     if not from_stored:
         _collect_views(run, config)
     return run.finish()
@@ -178,20 +181,24 @@ def _fill(collection: ViewCollection, simulation: Simulation) -> None:
 
 
 def _sections(overrides: Mapping[str, Any]) -> Dict[str, Dict[str, Any]]:
-    """Return keyword arguments as sections of keys."""
+    """Return keyword arguments as sections of keys; a key given by its own name precedes its section."""
     keys: Dict[str, List[str]] = {}
     for section, item in settings(Config):
         keys.setdefault(item.name, []).append(section)
     names = {section for section, _ in settings(Config)}
     sections: Dict[str, Dict[str, Any]] = {}
-    for name, value in overrides.items():
-        if name in names and isinstance(value, dict):
-            sections.setdefault(name, {}).update(value)
+    for name, value in sorted(overrides.items(), key=lambda item: item[0] not in names):
+        if name in names:
+            if not isinstance(value, dict):
+                raise ConfigError(f"section {name} is {short_repr(value)}: give a dictionary of its keys")
+            added, section = value, name
         elif len(keys.get(name, ())) == 1:
-            sections.setdefault(keys[name][0], {})[name] = value
+            added, section = {name: value}, keys[name][0]
         elif name in keys:
             choices = " or ".join(f"{section}={{{name!r}: ...}}" for section in keys[name])
             raise ConfigError(f"{name} is a key of several sections: give {choices}")
         else:
             raise ConfigError(f"unknown key {name}: {suggestion(name, [*names, *keys])}")
+        values = {key: os.fspath(one) if isinstance(one, os.PathLike) else one for key, one in added.items()}
+        sections.setdefault(section, {}).update(values)
     return sections

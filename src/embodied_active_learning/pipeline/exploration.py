@@ -163,7 +163,7 @@ class ExplorationRun:
         if log_std is None:
             self._target = uniform_distribution(len(visitation))
         else:
-            self._target = self._measure(log_std, coverage)
+            self._target = _checked_target(self._measure(log_std, coverage), len(visitation))
         return StepMetrics(
             step=self._step,
             target=self._target,
@@ -232,3 +232,25 @@ class ExplorationRun:
             "sums": np.array([self._distance, self._turning, self._effort]),
             "target": np.array(self._target, dtype=np.float64),
         }
+
+
+def _checked_target(target: np.ndarray, samples: int) -> np.ndarray:
+    """Return what an information measure has returned, if it is a distribution over the samples (S,)."""
+    values: np.ndarray = np.asarray(target, dtype=np.float64)
+    problem = (
+        f"shape {values.shape}"
+        if values.shape != (samples,)
+        else "values that are not finite"
+        if not np.isfinite(values).all()
+        else "negative values"
+        if values.min() < 0.0
+        else "only zeros"
+        if not values.any()
+        else ""
+    )
+    if problem:
+        raise EmbodiedActiveLearningError(
+            f"the information measure (exploration/measure) returned {problem}: return {samples} numbers of at least 0,"
+            " one for each sample, with sum 1"
+        )
+    return values

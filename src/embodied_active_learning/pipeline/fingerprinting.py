@@ -15,7 +15,7 @@ from embodied_active_learning.errors import ObservationError, SessionError
 from embodied_active_learning.model.verdict import UNUSED, ReconstructionErrors, describe_latent_use
 from embodied_active_learning.objects.appearance import Appearance
 from embodied_active_learning.objects.calibration import calibrate
-from embodied_active_learning.objects.clustering import Clustering, find_objects
+from embodied_active_learning.objects.clustering import Clustering, find_objects, warn_about_bandwidth
 from embodied_active_learning.objects.collection import ViewCollection
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.stored_views import ObservedViews
@@ -61,6 +61,7 @@ class FingerprintRun:
             stored = store.snapshot()
         self._observations = len(stored.stamps)
         seed = self._config.exploration.seed
+        warn_about_bandwidth(self._config.fingerprint)
         self.clustering = find_objects(trained.model, stored.raw_states, stored.images, self._config, seed)
         self._from_stored = from_stored
         self.collections: Sequence[Union[ViewCollection, ObservedViews]] = [

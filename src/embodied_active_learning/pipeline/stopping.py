@@ -12,7 +12,7 @@ from embodied_active_learning.errors import CorruptFileError
 from embodied_active_learning.model.learner import Learner
 from embodied_active_learning.model.metrics import Evaluation
 from embodied_active_learning.model.trained_model import TrainedModel
-from embodied_active_learning.objects.clustering import find_objects
+from embodied_active_learning.objects.clustering import find_objects, warn_about_bandwidth
 from embodied_active_learning.objects.stability import Measurement, StopCheck, StoppingCriterion, unexplained
 from embodied_active_learning.session.observations import Observations
 
@@ -26,6 +26,7 @@ class EarlyStop:
     """The stopping criterion of a run, and the number of steps after which the run ends."""
 
     def __init__(self, config: Config) -> None:
+        warn_about_bandwidth(config.fingerprint)
         self._config = config
         self._criterion = StoppingCriterion()
         self.steps: Optional[int] = None

@@ -54,8 +54,10 @@ def random_world(
         lighting: Whether brightness, gradient, shadow and white balance are random; default: neutral.
 
     Raises:
-        WorldError: An unknown kind, or no room for the objects at this spacing.
+        WorldError: No kind or an unknown one, or no room for the objects at this spacing.
     """
+    if not kinds:
+        raise WorldError("kinds is empty: give at least one kind of object")
     generator, workspace = np.random.default_rng(seed), Workspace()
     positions = _positions(count + distractors, spacing, workspace, generator)
     chosen = [kinds[generator.integers(len(kinds))] for _ in range(count)]

@@ -6,19 +6,25 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import WorldError
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.fingerprint import FingerprintSet
-from embodied_active_learning.objects.scoring import Truth, true_kinds
+from embodied_active_learning.objects.scoring import TrueObject, Truth, true_kinds
 from embodied_active_learning.simulation.world import load_world
 
 
-def true_objects(config: Config) -> List[Location]:
-    """Return the objects of the configured world; empty if they are not known (see true_scene)."""
-    return _known_objects(config) or []
+def true_objects(config: Config) -> List[TrueObject]:
+    """Return the objects of the configured world, for measurements; none on hardware.
+
+    Raises:
+        WorldError: The world's file cannot be loaded.
+    """
+    if config.arm.robot != SIMULATED:
+        return []
+    world = load_world(config.simulation.world, config.workspace.box())
+    return [TrueObject(item.kind, float(item.position[0]), float(item.position[1])) for item in world.objects]
 
 
 def true_scene(config: Config, sets: Sequence[FingerprintSet] = ()) -> Truth:
-    """Return the true objects of the configured world, and the true kinds of fingerprints learned in simulation.
+    """Return the true objects of the configured world, and the true kinds of fingerprints, to show beside results.
 
     Nothing is known on hardware, or if the world's file cannot be loaded.
     """
@@ -33,12 +39,11 @@ def true_scene(config: Config, sets: Sequence[FingerprintSet] = ()) -> Truth:
     return Truth(objects, kinds)
 
 
-def _known_objects(config: Config) -> Optional[List[Location]]:
+def _known_objects(config: Config) -> Optional[List[TrueObject]]:
     """Objects of the configured world, or None if they are not known."""
     if config.arm.robot != SIMULATED:
         return None
     try:
-        world = load_world(config.simulation.world, config.workspace.box())
+        return true_objects(config)
     except WorldError:
         return None
-    return [(item.kind, float(item.position[0]), float(item.position[1])) for item in world.objects]

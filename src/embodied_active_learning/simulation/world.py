@@ -97,7 +97,7 @@ def find_world(name_or_path: Union[str, Path]) -> Path:
         return path.absolute()
     known = world_names()
     if name not in known:
-        raise WorldError(f"unknown world {name!r}: {suggestion(name, known)} Or give the path of a YAML file")
+        raise WorldError(f"unknown world {name!r}: {suggestion(name, known)}; or give the path of a YAML file")
     return worlds_folder() / f"{name}.yaml"
 
 

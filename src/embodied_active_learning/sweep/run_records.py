@@ -28,7 +28,7 @@ from embodied_active_learning.session.conclusion import summarise
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import Summary, readable_summary
 from embodied_active_learning.session.tables import COLUMNS, read_table
-from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.simulation.truth import true_scene
 from embodied_active_learning.subsampling import spread_indices
 from embodied_active_learning.sweep.csv_files import write_rows
 
@@ -198,7 +198,7 @@ def describe_computer() -> str:
 def _cluster(session: Session) -> Tuple[float, Tuple[FoundObject, ...]]:
     """Return contrast and objects of a session's model, compared with the true objects."""
     clustering = FingerprintRun(session.paths.path).clustering
-    truth = true_objects(session.config)
+    truth = true_scene(session.config).objects
     objects = []
     for cluster in clustering.clusters:
         kind, distance = nearest(cluster.centre, truth)

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Callable, ContextManager, Dict, List, Mapping, Sequence, Tuple
 
-from embodied_active_learning.errors import ConfigError, MissingPackageError, SessionError
+from embodied_active_learning.errors import ConfigError, CorruptFileError, MissingPackageError, SessionError
 from embodied_active_learning.pipeline.progress import Progress, TimeLeft, duration
 from embodied_active_learning.session.atomic import make_folder
 from embodied_active_learning.sweep.jobs import Job
@@ -72,8 +72,17 @@ def make_runs(
 
 
 def total_progress(jobs: Sequence[Job]) -> Progress:
-    """Return the sum of the progress of all runs."""
-    parts = [job.progress() for job in jobs]
+    """Return the sum of the progress of all runs; one whose tables are damaged counts as not started.
+
+    Such a run fails with the reason when it is continued.
+    """
+    parts = []
+    for job in jobs:
+        try:
+            parts.append(job.progress())
+        except CorruptFileError:
+            config = job.run.config
+            parts.append(Progress(0, config.exploration.steps, 0, config.update_plan.total))
     return Progress(
         step=sum(part.step for part in parts),
         steps=sum(part.steps for part in parts),

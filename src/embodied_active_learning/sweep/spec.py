@@ -98,6 +98,8 @@ def load_sweep(path: Path) -> Sweep:
             for world in own.worlds or settings.worlds:
                 runs.append((rank, _make_run(settings, variant, _beside(path, world), seed)))
     ordered = tuple(run for _, run in sorted(runs, key=lambda item: item[0]))
+    if not ordered:
+        raise ConfigError(f"{path}: no runs: give at least one world, seed and variant")
     names = [run.name for run in ordered]
     duplicate = next((name for name in names if names.count(name) > 1), "")
     if duplicate:

@@ -11,7 +11,7 @@ import rospy
 from sensor_msgs.msg import CameraInfo
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.geometry import FIELD_TOLERANCE, field_of_view, intrinsics, metres_per_pixel
+from embodied_active_learning.geometry import field_of_view, intrinsics, metres_per_pixel
 from embodied_active_learning.images import Framing
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.camera.rectification import (
@@ -22,6 +22,8 @@ from embodied_active_learning.ros.camera.rectification import (
 )
 from embodied_active_learning.ros.conversions import camera_info_message
 
+FIELD_TOLERANCE = 0.03
+"""Relative difference between calibrated and configured field of view above which a warning is logged."""
 _NEGLIGIBLE = 0.5  # pixels of the model's image: below this, images are not rectified
 
 

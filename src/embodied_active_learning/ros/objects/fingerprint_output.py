@@ -21,7 +21,7 @@ from embodied_active_learning.ros.objects.messages import fingerprint_message
 from embodied_active_learning.ros.runtime.node import try_to_draw
 from embodied_active_learning.ros.rviz.object_markers import fingerprint_markers
 from embodied_active_learning.session.paths import SessionPaths
-from embodied_active_learning.simulation.truth import true_objects
+from embodied_active_learning.simulation.truth import true_scene
 
 
 class FingerprintOutput:
@@ -58,6 +58,6 @@ def report_fingerprints(session: Path, found: FingerprintSet, config: Config) ->
     """Draw the fingerprints of a session folder, and log them with the path of the figure."""
     draw = import_module("embodied_active_learning.figures.fingerprint_sheet").draw_fingerprints  # slow
     path = SessionPaths(session).figures / "fingerprints.png"
-    figure = try_to_draw(draw, path, found, true_objects(config), config.session.pdf_figures) or "none"
+    figure = try_to_draw(draw, path, found, true_scene(config).objects, config.session.pdf_figures) or "none"
     listed = ", ".join(item.name for item in found.fingerprints)
     rospy.loginfo("fingerprints: %s\n  session  %s\n  figure   %s", listed, session, figure)
