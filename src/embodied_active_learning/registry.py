@@ -64,8 +64,10 @@ class Registry:
         module, _, attribute = entry.partition(":")
         try:
             implementation: Callable[..., Any] = getattr(import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
+        except ImportError as error:
             raise ConfigError(f"{self.kind} {name!r} cannot be imported: {error}; check PYTHONPATH") from error
+        except AttributeError as error:
+            raise ConfigError(f"{self.kind} {name!r} cannot be imported: {error}; correct its name") from error
         return implementation
 
     def __iter__(self) -> Iterator[str]:

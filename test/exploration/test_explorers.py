@@ -77,9 +77,12 @@ def test_explorer_of_another_module_is_imported():
     assert isinstance(EXPLORERS[config.exploration.explorer](config, 0), RandomWalkExplorer)
 
 
-@pytest.mark.parametrize("name", ["no_such_module:Explorer", f"{RandomWalkExplorer.__module__}:NoSuchClass"])
-def test_explorer_that_cannot_be_imported_is_refused(name):
-    with pytest.raises(ConfigError, match=f"explorer '{name}' cannot be imported: .*check PYTHONPATH"):
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("no_such_module:Explorer", "check PYTHONPATH"), (f"{RandomWalkExplorer.__module__}:NoSuch", "correct its name")],
+)
+def test_explorer_that_cannot_be_imported_is_refused(name, remedy):
+    with pytest.raises(ConfigError, match=f"explorer '{name}' cannot be imported: .*{remedy}"):
         EXPLORERS[name]
 
 

@@ -5,9 +5,11 @@ import pytest
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import CorruptFileError, EmbodiedActiveLearningError
+from embodied_active_learning.exploration.baselines import RandomWalkExplorer
 from embodied_active_learning.exploration.commands import PoseCommand, VelocityCommand
+from embodied_active_learning.exploration.explorer import Explorer
 from embodied_active_learning.pipeline.exploration import ExplorationRun, await_log_std, first_command
-from embodied_active_learning.registry import INFORMATION_MEASURES
+from embodied_active_learning.registry import EXPLORERS, INFORMATION_MEASURES
 
 
 def configured(explorer="ergodic", **exploration):
@@ -41,6 +43,29 @@ def test_explorers_increase_coverage(explorer):
     assert metrics[-1].ergodic_measure < metrics[0].ergodic_measure
     assert metrics[-1].distance > 0.1
     assert metrics[-1].turning > 0.1
+
+
+class MethodExplorer(RandomWalkExplorer):
+    """planned_states is a method instead of a property."""
+
+    def planned_states(self):
+        return np.empty((0, 3))
+
+
+class IncompleteExplorer(Explorer):
+    """Implements nothing."""
+
+
+@pytest.mark.parametrize(
+    ("explorer", "problem"), [(MethodExplorer, "make it a property"), (IncompleteExplorer, "takes no arguments")]
+)
+def test_incomplete_explorer_is_named(explorer, problem):
+    EXPLORERS.register("test_incomplete")(explorer)
+    try:
+        with pytest.raises(EmbodiedActiveLearningError, match=f"explorer test_incomplete cannot be used: .*{problem}"):
+            ExplorationRun(configured("test_incomplete"))
+    finally:
+        EXPLORERS.unregister("test_incomplete")
 
 
 def test_command_of_another_type_is_an_error():

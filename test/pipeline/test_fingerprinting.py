@@ -8,10 +8,12 @@ import pytest
 
 from embodied_active_learning.config import Config, FingerprintConfig
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.pipeline.fingerprinting import (
     FingerprintRun,
     calibrated,
     describe_clustering,
+    describe_unrecognisable,
     describe_weakness,
 )
 from embodied_active_learning.session.session import Session
@@ -58,16 +60,27 @@ def test_given_trials_are_simulated_instead_of_the_sessions(caplog):
     assert "computing the limits of object-1 (1 of 1)" in caplog.text
 
 
+def test_objects_without_limits_are_named_as_unrecognisable():
+    found = SimpleNamespace(
+        fingerprints=[
+            SimpleNamespace(name="object-1", kind=OBJECT, calibration=object()),
+            SimpleNamespace(name="object-2", kind=OBJECT, calibration=None),
+            SimpleNamespace(name="blank-1", kind=BLANK, calibration=None),
+        ]
+    )
+    assert describe_unrecognisable(found).startswith("; object-2 will not be recognised elsewhere")
+
+
 @pytest.mark.parametrize(
     ("own", "expected"),
     [
         ([0.010], "; the model is weak: the latent removes 0 % of the reconstruction error"),
         ([0.010, 0.002], ""),
-        ([], ""),
+        ([], "; 40 updates are few, and the model is not evaluated yet"),
     ],
 )
 def test_weakness_is_that_of_the_newest_evaluation(own, expected):
     others = np.full(len(own), 0.010)
-    weakness = describe_weakness({"mse_own": np.array(own), "mse_shuffled": others, "mse_none": others})
+    weakness = describe_weakness({"mse_own": np.array(own), "mse_shuffled": others, "mse_none": others}, 40)
     assert weakness.startswith(expected)
     assert bool(weakness) == bool(expected)

@@ -21,7 +21,7 @@ def test_unknown_argument_is_refused(name):
 
 def test_similar_argument_is_suggested():
     with pytest.raises(ConfigError, match=r"unknown launch argument worlds:=: did you mean world:=\?"):
-        check_command_line(["--screen", "embodied_active_learning", "learn.launch", "seed:=1", "worlds:=diagonal"])
+        check_command_line(["-p", "11312", "embodied_active_learning", "learn.launch", "seed:=1", "worlds:=diagonal"])
 
 
 @pytest.mark.parametrize(

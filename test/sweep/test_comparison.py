@@ -116,6 +116,20 @@ def test_command_writes_table_and_csv(tmp_path, capsys, monkeypatch):
     assert (row["table"], row["column"], row["group"]) == ("exploration", "ergodic_measure", "ergodic (n = 2)")
 
 
+def test_command_names_settings_that_a_group_mixes(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(compare_sessions, "draw_curves", lambda path, panels, axes: path)
+    for name, explorer in (("a", "ergodic"), ("b", "uniform")):
+        write_record(tmp_path / name, replace(make_record(name, explorer, 1.0), variant=""))
+    assert main([str(tmp_path / "a"), str(tmp_path / "b"), "--output", str(tmp_path)]) == 0
+    line = "group without a variant mixes runs that differ in exploration/explorer: see --by"
+    assert line in capsys.readouterr().out
+
+
+def test_command_refuses_what_is_no_folder(tmp_path, capsys):
+    assert main([str(tmp_path / "kitchen")]) == 2
+    assert "kitchen: give the folder of a session" in capsys.readouterr().err
+
+
 def test_command_refuses_folder_without_run(tmp_path, capsys):
     assert main([str(tmp_path)]) == 2
     assert "config.yaml is missing" in capsys.readouterr().err

@@ -42,8 +42,8 @@ _CELL = (3.35, 2.65)  # width and height of a map with its title above and its n
 _MAP = 2.0  # side of a map
 _THUMBNAIL = 0.85
 _GAP = 0.08  # between map and note
-_LEFT, _TOP, _BOTTOM = 0.65, 1.1, 1.2  # borders of the figure; the colour bar is in the lower one
-_BAR_WIDTH, _BAR_HEIGHT, _BAR_BOTTOM = 4.0, 0.12, 0.6
+_LEFT, _TOP, _BOTTOM = 0.65, 1.1, 1.4  # borders of the figure; the colour bar is in the lower one
+_BAR_WIDTH, _BAR_HEIGHT, _BAR_BOTTOM = 4.0, 0.12, 0.8
 _TITLE_WIDTH, _TITLE_LINES = 42, 3  # characters, lines
 _NOTE_WIDTH = 20  # characters
 
@@ -136,7 +136,8 @@ def _add_colour_bar(figure: Figure, image: AxesImage) -> None:
     """Add the colour bar of all maps below them."""
     top = figure.get_figheight() - _BAR_BOTTOM
     bar = figure.colorbar(image, cax=place(figure, _LEFT, top, _BAR_WIDTH, _BAR_HEIGHT), orientation="horizontal")
-    bar.set_label("belief above the median of its map (same scale in all maps)", fontsize=SMALL)
+    scale = "belief above the median of its map (same scale in all maps)"
+    bar.set_label(f"{scale}\ndecisions compare views: see evidence.png", fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
 
 

@@ -57,6 +57,9 @@ def _draw_row(row: Evidence, axes: Sequence[Axes], views: SceneViews) -> None:
     _show(axes[0], picture)
     _show(axes[1], np.where(mask[..., None], picture, picture // _DIMMED))
     if appearance.problem or not decision.views:
+        why = "cannot be recognised" if appearance.problem else "no view of the best place"
+        for axis in axes[2:]:
+            axis.text(0.5, 0.5, why, transform=axis.transAxes, ha="center", va="center", fontsize=SMALL)
         return
     pose = appearance.centre_at(decision.pose)
     view = views.nearest(pose[:2], 1, np.inf)

@@ -5,7 +5,7 @@ Paper, appendix "Object Fingerprinting": a fingerprint is a table of images, sta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Dict, Optional, Tuple
@@ -57,12 +57,12 @@ class Fingerprint:
     name: str
     kind: str
     centre: np.ndarray
-    states: np.ndarray
-    images: np.ndarray
-    latent_means: np.ndarray
-    latent_stds: np.ndarray
+    states: np.ndarray = field(repr=False)
+    images: np.ndarray = field(repr=False)
+    latent_means: np.ndarray = field(repr=False)
+    latent_stds: np.ndarray = field(repr=False)
     importance: float
-    calibration: Optional[Calibration] = None
+    calibration: Optional[Calibration] = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -72,8 +72,8 @@ class Fingerprint:
         if not isinstance(self.importance, Real) or not 0.0 <= self.importance <= 1.0:
             raise ObservationError(f"{self.name}: importance {self.importance!r} is out of range: expected 0 to 1")
         sizes: Dict[str, int] = {}
-        for field, (dtype, shape) in ARRAYS.items():
-            _check_array(f"{self.name}: {field}", getattr(self, field), np.dtype(dtype), shape, sizes)
+        for name, (dtype, shape) in ARRAYS.items():
+            _check_array(f"{self.name}: {name}", getattr(self, name), np.dtype(dtype), shape, sizes)
 
     @property
     def thumbnail(self) -> np.ndarray:
@@ -105,17 +105,17 @@ class FingerprintSet:
     updates: int
     observations: int
     created: str
-    config: Config
-    weights: Dict[str, torch.Tensor]
+    config: Config = field(repr=False)
+    weights: Dict[str, torch.Tensor] = field(repr=False)
     fingerprints: Tuple[Fingerprint, ...]
 
     def __post_init__(self) -> None:
         """Check every field, and that the fingerprints match the configuration."""
         check_name(self.session, "session of the fingerprints")
-        for field in ("updates", "observations"):
-            count = getattr(self, field)
+        for name in ("updates", "observations"):
+            count = getattr(self, name)
             if type(count) is not int or count < 0:
-                raise ObservationError(f"invalid {field} {count!r}: expected an integer of at least 0")
+                raise ObservationError(f"invalid {name} {count!r}: expected an integer of at least 0")
         if not _is_utc(self.created):
             raise ObservationError(f"invalid created {self.created!r}: expected UTC such as 2026-11-22T12:45:00Z")
         names = [fingerprint.name for fingerprint in self.fingerprints]

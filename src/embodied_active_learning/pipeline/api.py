@@ -94,7 +94,7 @@ def fingerprint(session: SessionLike, from_stored: bool = False, **settings_: An
     run = FingerprintRun(found.paths.path, config.fingerprint, from_stored)
     if run.clustering.low_contrast:
         raise ObservationError(run.summary)
-    LOG.info("%s", run.summary)
+    LOG.log(logging.WARNING if run.is_doubtful else logging.INFO, "%s", run.summary)
     if not from_stored:
         _collect_views(run, config)
     return run.finish()

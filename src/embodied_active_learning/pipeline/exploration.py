@@ -104,7 +104,7 @@ class ExplorationRun:
         exploration = replace(config.exploration, seed=seed)
         config = replace(config, exploration=exploration)
         self._samples = WorkspaceSamples(config, self._workspace.normalise(visited))
-        self._explorer: Explorer = EXPLORERS[exploration.explorer](config, seed)
+        self._explorer = _make_explorer(config, seed)
         self._measure = INFORMATION_MEASURES[exploration.measure]
         self._step_duration = exploration.step_duration
         self._step = len(visited)
@@ -254,3 +254,19 @@ def _checked_target(target: np.ndarray, samples: int) -> np.ndarray:
             " one for each sample, with sum 1"
         )
     return values
+
+
+def _make_explorer(config: Config, seed: int) -> Explorer:
+    """Construct the configured explorer. Raises EmbodiedActiveLearningError if its class is incomplete."""
+    name = config.exploration.explorer
+    try:
+        explorer: Explorer = EXPLORERS[name](config, seed)
+        planned = np.shape(explorer.planned_states)
+    except (AttributeError, TypeError) as error:
+        raise EmbodiedActiveLearningError(f"explorer {name} cannot be used: {error}") from error
+    if len(planned) != 2:
+        raise EmbodiedActiveLearningError(
+            f"explorer {name} cannot be used: planned_states has shape {planned}: make it a property that returns an "
+            "array (H, 3)"
+        )
+    return explorer

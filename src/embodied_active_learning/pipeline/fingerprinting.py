@@ -56,7 +56,7 @@ class FingerprintRun:
                 f"{self._config.training.first_update_at} observations (training/first_update_at); retry later"
             )
         self._trained = trained
-        self._weakness = describe_weakness(session.read_table("evaluation"))
+        self._weakness = describe_weakness(session.read_table("evaluation"), trained.updates)
         with session.open_observations() as store:
             stored = store.snapshot()
         self._observations = len(stored.stamps)
@@ -80,6 +80,11 @@ class FingerprintRun:
             count[cluster.kind] += 1
             names.append(f"{cluster.kind}-{count[cluster.kind]}")
         return names
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the model is weak, or nothing was found that could be learned."""
+        return bool(self._weakness) or not any(cluster.kind == OBJECT for cluster in self.clustering.clusters)
 
     @property
     def summary(self) -> str:
@@ -158,6 +163,14 @@ def describe_clustering(clustering: Clustering, settings: FingerprintConfig) -> 
     return f"{objects} objects and a blank region: {contrast}{skipped}"
 
 
+def describe_unrecognisable(found: FingerprintSet) -> str:
+    """Return the end of a sentence that names objects that cannot be recognised elsewhere; empty without any."""
+    names = [item.name for item in found.fingerprints if item.kind == OBJECT and item.calibration is None]
+    if not names:
+        return ""
+    return f"; {', '.join(names)} will not be recognised elsewhere: not distinct from the table in the views"
+
+
 def calibrated(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], config: Config) -> Fingerprint:
     """Return a fingerprint with its calibration, if it is of an object that can be recognised; log why if it cannot.
 
@@ -178,14 +191,15 @@ def calibrated(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], co
     return replace(fingerprint, calibration=calibrate(appearance, config.fingerprint.trials))
 
 
-def describe_weakness(evaluation: Mapping[str, np.ndarray]) -> str:
-    """Return the end of a sentence that says that the model hardly uses its latent; empty if it does.
+def describe_weakness(evaluation: Mapping[str, np.ndarray], updates: int) -> str:
+    """Return the end of a sentence that says why the model may be too weak; empty if it is good.
 
     Args:
         evaluation: The session's table of that name.
+        updates: Number of updates of the model.
     """
     if not len(evaluation["mse_own"]):
-        return ""
+        return f"; {updates} updates are few, and the model is not evaluated yet: make the fingerprints again later"
     errors = ReconstructionErrors(*(float(evaluation[f"mse_{name}"][-1]) for name in ReconstructionErrors._fields))
     if errors.latent_contribution >= UNUSED:
         return ""

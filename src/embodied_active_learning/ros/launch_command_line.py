@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import List, Optional, Sequence, Set, Tuple
 from xml.etree import ElementTree
 
+from roslaunch import _get_optparse  # roslaunch's own options
 from roslaunch.core import RLException
 from roslaunch.rlutil import resolve_launch_arguments
 
@@ -30,8 +31,9 @@ def check_command_line(arguments: Sequence[str]) -> None:
         arguments: Arguments of roslaunch: options, a package and its launch files or paths of launch files, and
             NAME:=VALUE.
     """
-    files = [argument for argument in arguments if ":=" not in argument and not argument.startswith("-")]
-    names = [argument.partition(":=")[0] for argument in arguments if ":=" in argument]
+    _, words = _get_optparse().parse_args(list(arguments))  # options such as "-p 11312" have values
+    files = [word for word in words if ":=" not in word]
+    names = [word.partition(":=")[0] for word in words if ":=" in word]
     try:
         declared, complete = _declared(resolve_launch_arguments(files))
     except (RLException, ElementTree.ParseError, OSError):

@@ -80,6 +80,9 @@ class Session:
         SessionPaths(path).check_links()
         return cls(Path(path), read_stored_config(Path(path) / CONFIG_FILE))
 
+    def __repr__(self) -> str:
+        return f"Session({str(self.paths.path)!r})"
+
     @property
     def name(self) -> str:
         """Name of the session and its folder."""

@@ -34,6 +34,7 @@ DEFAULT_TEXTURE = GeneratedTexture("plain", 57)
 """Light grey with faint grain: images of one colour would hold the arm."""
 
 _log = logging.getLogger(__name__)
+_SMALL, _LARGE = 0.02, 0.16  # m, of an object's largest extent
 
 
 @dataclass(frozen=True)
@@ -121,14 +122,19 @@ def _place(name: str, settings: ObjectSettings, model: ObjectModel) -> PlacedObj
     largest, stem = float(model.extent.max()), model.urdf.stem
     if not 0.0 < largest < math.inf:
         raise WorldError(f"objects/{name}: {model.mesh} has an extent of {largest:g} m: check its vertices and scale")
-    scale = 1.0 if settings.scale is None else settings.scale
+    scale = settings.size / largest if settings.size is not None else settings.scale or 1.0
+    if not _SMALL <= scale * largest <= _LARGE:
+        _log.warning(
+            "objects/%s is %.3g m large: between %g and %g m is advised, since the camera sees 16 cm of the table",
+            name, scale * largest, _SMALL, _LARGE,
+        )  # fmt: skip
     return PlacedObject(
         name=name,
         kind=settings.kind or (f"random_{stem}" if stem.isdecimal() else stem.split("_")[0]),
         model=model,
         position=settings.position,
         yaw=settings.yaw,
-        scale=scale if settings.size is None else settings.size / largest,
+        scale=scale,
         height=settings.height,
         colour=settings.colour,
     )

@@ -13,7 +13,8 @@ import sys
 from pathlib import Path
 from typing import Dict, List, Mapping, Sequence, Tuple
 
-from embodied_active_learning.errors import EmbodiedActiveLearningError
+from embodied_active_learning.config import Config
+from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
 from embodied_active_learning.figures.curves import Curve, draw_curves
 from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.sweep.comparison import (
@@ -23,6 +24,8 @@ from embodied_active_learning.sweep.comparison import (
     load_records,
 )
 from embodied_active_learning.sweep.csv_files import write_rows
+from embodied_active_learning.sweep.run_records import Record
+from embodied_active_learning.sweep.spec import differences
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -35,15 +38,32 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--output", type=Path, default=Path(), help="folder of the files (default: this one)")
     options = parser.parse_args(arguments)
     try:
-        curves = compare_columns(group_records(load_records(options.runs), options.by))
+        for path in options.runs:
+            if not path.exists():
+                raise SessionError(
+                    f"there is no {path}: give the folder of a session, such as {Config().session.root}/NAME"
+                )
+        groups = group_records(load_records(options.runs), options.by)
+        curves = compare_columns(groups)
         write_rows(options.output / "comparison.csv", comparison_rows(curves))
         panels, axes = _panels(curves)
         figure = draw_curves(options.output / "comparison.png", panels, axes)
     except EmbodiedActiveLearningError as error:
         print(error, file=sys.stderr)  # noqa: T201 - a command
         return 2
-    print("\n".join([*_last_values(curves), str(figure)]))  # noqa: T201
+    print("\n".join([*_last_values(curves), *_mixed_groups(groups), str(figure.absolute())]))  # noqa: T201
     return 0
+
+
+def _mixed_groups(groups: Mapping[str, List[Record]]) -> List[str]:
+    """Return a line for each group whose runs differ in more than the seed."""
+    lines = []
+    for name, records in groups.items():
+        changed = {item.split(" ")[0] for other in records for item in differences(records[0].config, other.config)}
+        keys = sorted(changed - {"exploration/seed"})
+        if keys:
+            lines.append(f"group {name or 'without a variant'} mixes runs that differ in {', '.join(keys)}: see --by")
+    return lines
 
 
 def _panels(curves: Mapping[Tuple[str, str], List[Curve]]) -> Tuple[Dict[str, List[Curve]], Dict[str, str]]:
