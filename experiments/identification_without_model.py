@@ -105,7 +105,7 @@ class Half:
         return self._scenes.draw(condition, self.scene_number(number))
 
     def scene_number(self, number: int) -> int:
-        """Return the number of a scene in both halves, as the table has it."""
+        """Return the number of a scene in the table, which counts the scenes of both halves."""
         return 2 * number + self._half
 
     def search(self, place: Place, states: np.ndarray, images: np.ndarray) -> List[Row]:

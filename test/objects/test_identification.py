@@ -153,7 +153,7 @@ def test_all_instances_found_most_similar_first():
 
 @pytest.mark.parametrize("yaw", [0.0, math.pi])
 def test_instances_beside_each_other_are_found_with_any_centre(yaw):
-    """Instances are told apart by where the object is visible, not by where clustering has put its centre."""
+    """The distance of instances is that of their visible middles, wherever clustering has put the centre."""
     red = LEARNED.fingerprints[0]
     cosine, sine = math.cos(red.centre[2]), math.sin(red.centre[2])
     centre = red.centre + 0.015 * np.array([cosine, sine, 0.0])

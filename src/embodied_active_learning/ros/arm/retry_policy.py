@@ -44,7 +44,7 @@ class RetryPolicy:
         self._cancelled = False
 
     def begin_call(self) -> None:
-        """Start a call. Its timeout starts with its first failure: a long command is none."""
+        """Start a call. Its timeout starts with its first failure, so that long commands do not count."""
         self._cancelled = False
         self._deadline = math.inf
 
