@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Sequence
 
 from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
-from embodied_active_learning.geometry import Location
 from embodied_active_learning.objects.decision import Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.scoring import SAME_PLACE, Truth, nearest, score
+from embodied_active_learning.objects.scoring import SAME_PLACE, TrueObject, Truth, nearest, score
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.identifications import identification_folder, load_identification
 from embodied_active_learning.session.session import Session
@@ -75,7 +74,7 @@ def identified(path: Path, name: str) -> str:
     return "\n".join(lines)
 
 
-def describe_object(true_object: Location, decisions: Sequence[Decision], truth: Truth) -> str:
+def describe_object(true_object: TrueObject, decisions: Sequence[Decision], truth: Truth) -> str:
     """Return what was decided about a true object."""
     kind, x, y = true_object
     place = f"{kind:6} at x {x:.3f} m, y {y:.3f} m"
