@@ -51,19 +51,16 @@ def main(arguments: Sequence[str]) -> int:
     except EmbodiedActiveLearningError as error:
         print(error, file=sys.stderr)  # noqa: T201 - a command
         return 2
-    print("\n".join([*_last_values(curves), *_mixed_groups(groups), str(figure.absolute())]))  # noqa: T201
+    print("\n".join([*_last_values(curves), *_mixed_runs(groups), str(figure.absolute())]))  # noqa: T201
     return 0
 
 
-def _mixed_groups(groups: Mapping[str, List[Record]]) -> List[str]:
-    """Return a line for each group whose runs differ in more than the seed."""
-    lines = []
-    for name, records in groups.items():
-        changed = {item.split(" ")[0] for other in records for item in differences(records[0].config, other.config)}
-        keys = sorted(changed - {"exploration/seed"})
-        if keys:
-            lines.append(f"group {name or 'without a variant'} mixes runs that differ in {', '.join(keys)}: see --by")
-    return lines
+def _mixed_runs(groups: Mapping[str, List[Record]]) -> List[str]:
+    """Return a line if runs without a variant differ in more than the seed; a variant may have several worlds."""
+    runs = groups.get("", [])
+    changed = {item.split(" ")[0] for other in runs for item in differences(runs[0].config, other.config)}
+    keys = sorted(changed - {"exploration/seed"})
+    return [f"runs of one group differ in {', '.join(keys)}: see --by"] if keys else []
 
 
 def _panels(curves: Mapping[Tuple[str, str], List[Curve]]) -> Tuple[Dict[str, List[Curve]], Dict[str, str]]:
