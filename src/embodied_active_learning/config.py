@@ -303,7 +303,8 @@ class Config:
     def __post_init__(self) -> None:
         """Check relations between settings. Raises ConfigError."""
         box, training, steps = self.workspace.box(), self.training, self.exploration.steps
-        start, ticks = list(self.simulation.start), self.exploration.step_duration * self.simulation.physics_rate
+        start = list(self.simulation.start)
+        physics_steps = self.exploration.step_duration * self.simulation.physics_rate
         problems = (
             (
                 self.arm.robot == SIMULATED and not box.contains(start),
@@ -314,8 +315,8 @@ class Config:
                 f"camera/latency is {self.camera.latency:g} s, but the simulated camera has none: set it to 0",
             ),
             (
-                self.arm.robot == SIMULATED and not _is_whole(ticks),
-                f"exploration/step_duration is {self.exploration.step_duration:g} s, {ticks:g} physics steps "
+                self.arm.robot == SIMULATED and not _is_whole(physics_steps),
+                f"exploration/step_duration is {self.exploration.step_duration:g} s, {physics_steps:g} physics steps "
                 f"(simulation/physics_rate {self.simulation.physics_rate}): set it to a whole number of steps",
             ),
             (

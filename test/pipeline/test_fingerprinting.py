@@ -76,7 +76,7 @@ def test_objects_without_limits_are_named_as_unrecognisable():
     [
         ([0.010], "; the model is weak: the latent removes 0 % of the reconstruction error"),
         ([0.010, 0.002], ""),
-        ([], "; 40 updates are few, and the model is not evaluated yet"),
+        ([], "; the model is not evaluated yet (40 updates)"),
     ],
 )
 def test_weakness_is_that_of_the_newest_evaluation(own, expected):

@@ -85,9 +85,13 @@ def draw_beliefs(
     truth: Truth = NO_TRUTH,
     pdf: bool = False,
     unknown: Sequence[UnknownObject] = (),
+    by_views: bool = False,
 ) -> Path:
-    """Draw the table from above and the belief map of every fingerprint, with one colour scale."""
-    return save(beliefs_figure(workspace, panels, view, truth, unknown), path, pdf)
+    """Draw the table from above and the belief map of every fingerprint, with one colour scale.
+
+    by_views: whether the decisions compare views, so that the maps do not explain them.
+    """
+    return save(beliefs_figure(workspace, panels, view, truth, unknown, by_views), path, pdf)
 
 
 def beliefs_figure(
@@ -96,6 +100,7 @@ def beliefs_figure(
     view: Optional[TopView] = None,
     truth: Truth = NO_TRUTH,
     unknown: Sequence[UnknownObject] = (),
+    by_views: bool = False,
 ) -> Figure:
     """Return the figure of draw_beliefs."""
     before = int(view is not None)
@@ -115,7 +120,7 @@ def beliefs_figure(
     for axes in maps:
         mark_unknown(axes, unknown)
     if image is not None:
-        _add_colour_bar(figure, image)
+        _add_colour_bar(figure, image, by_views)
     _remove_inner_labels(maps, columns)
     add_marker_legend(figure, bool(truth.objects), with_unknown=bool(unknown))
     return figure
@@ -132,12 +137,14 @@ def _remove_inner_labels(maps: Sequence[Axes], columns: int) -> None:
             axes.tick_params(labelbottom=False)
 
 
-def _add_colour_bar(figure: Figure, image: AxesImage) -> None:
+def _add_colour_bar(figure: Figure, image: AxesImage, by_views: bool) -> None:
     """Add the colour bar of all maps below them."""
     top = figure.get_figheight() - _BAR_BOTTOM
     bar = figure.colorbar(image, cax=place(figure, _LEFT, top, _BAR_WIDTH, _BAR_HEIGHT), orientation="horizontal")
-    scale = "belief above the median of its map (same scale in all maps)"
-    bar.set_label(f"{scale}\ndecisions compare views: see evidence.png", fontsize=SMALL)
+    caption = "belief above the median of its map (same scale in all maps)"
+    if by_views:
+        caption += "\ndecisions compare views: see evidence.png"
+    bar.set_label(caption, fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
 
 

@@ -32,10 +32,11 @@ def draw_identification(
     workspace = run.config.workspace.box()
     view = compose_top_view(run.pictures, run.states, run.config.camera, workspace)
     panels = [_panel(target, decisions) for target in run.identification.targets]
-    paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth, pdf, run.unknown)]
+    by_views = run.identification.by_views
+    paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth, pdf, run.unknown, by_views)]
     targets = [target for target in run.identification.targets if target.fingerprint.kind == OBJECT]
     evidence = [_evidence(target, decisions) for target in targets[:MAX_TRACES]]
-    if run.identification.by_views and evidence:
+    if by_views and evidence:
         views = SceneViews(run.states, run.pictures, run.config.camera)
         paths.append(draw_evidence(run.folder / "evidence.png", evidence, views, pdf))
     if run.unknown:

@@ -154,9 +154,9 @@ class ViewRule(DecisionRule):
         ]
         decisions: List[Decision] = []
         for refined in sorted(found, key=lambda item: -item.similarity):
-            decision = self._judge(target, refined, scene, table_match)
-            if all(pose_distance(decision.pose, other.pose)[0] >= settings.separation for other in decisions):
-                decisions.append(decision)
+            middle = target.appearance.middle_at(refined.pose)
+            if all(pose_distance(middle, other.pose)[0] >= settings.separation for other in decisions):
+                decisions.append(self._judge(target, refined, scene, table_match))
         return decisions
 
     def is_open(self, target: SearchTarget, resolved: Sequence[Decision], scene: ObservedScene) -> bool:

@@ -237,23 +237,20 @@ class ExplorationRun:
 def _checked_target(target: np.ndarray, samples: int) -> np.ndarray:
     """Return what an information measure has returned, if it is a distribution over the samples (S,)."""
     values: np.ndarray = np.asarray(target, dtype=np.float64)
-    problem = (
-        f"shape {values.shape}"
-        if values.shape != (samples,)
-        else "values that are not finite"
-        if not np.isfinite(values).all()
-        else "negative values"
-        if values.min() < 0.0
-        else "only zeros"
-        if not values.any()
-        else ""
+    if values.shape != (samples,):
+        problem = f"shape {values.shape}"
+    elif not np.isfinite(values).all():
+        problem = "values that are not finite"
+    elif values.min() < 0.0:
+        problem = "negative values"
+    elif not values.any():
+        problem = "only zeros"
+    else:
+        return values
+    raise EmbodiedActiveLearningError(
+        f"the information measure (exploration/measure) returned {problem}: return {samples} numbers of at least 0,"
+        " one for each sample, with sum 1"
     )
-    if problem:
-        raise EmbodiedActiveLearningError(
-            f"the information measure (exploration/measure) returned {problem}: return {samples} numbers of at least 0,"
-            " one for each sample, with sum 1"
-        )
-    return values
 
 
 def _make_explorer(config: Config, seed: int) -> Explorer:

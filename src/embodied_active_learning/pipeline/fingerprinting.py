@@ -168,7 +168,7 @@ def describe_unrecognisable(found: FingerprintSet) -> str:
     names = [item.name for item in found.fingerprints if item.kind == OBJECT and item.calibration is None]
     if not names:
         return ""
-    return f"; {', '.join(names)} will not be recognised elsewhere: not distinct from the table in the views"
+    return f"; {', '.join(names)} will not be recognised elsewhere: see the log of the fingerprinter"
 
 
 def calibrated(fingerprint: Fingerprint, fingerprints: Sequence[Fingerprint], config: Config) -> Fingerprint:
@@ -199,7 +199,7 @@ def describe_weakness(evaluation: Mapping[str, np.ndarray], updates: int) -> str
         updates: Number of updates of the model.
     """
     if not len(evaluation["mse_own"]):
-        return f"; {updates} updates are few, and the model is not evaluated yet: make the fingerprints again later"
+        return f"; the model is not evaluated yet ({updates} updates): make the fingerprints again after more steps"
     errors = ReconstructionErrors(*(float(evaluation[f"mse_{name}"][-1]) for name in ReconstructionErrors._fields))
     if errors.latent_contribution >= UNUSED:
         return ""

@@ -125,7 +125,7 @@ def _place(name: str, settings: ObjectSettings, model: ObjectModel) -> PlacedObj
     scale = settings.size / largest if settings.size is not None else settings.scale or 1.0
     if not _SMALL <= scale * largest <= _LARGE:
         _log.warning(
-            "objects/%s is %.3g m large: between %g and %g m is advised, since the camera sees 16 cm of the table",
+            "objects/%s is %.3g m large: %g to %g m is advised; sizes are in metres",
             name, scale * largest, _SMALL, _LARGE,
         )  # fmt: skip
     return PlacedObject(

@@ -13,8 +13,7 @@ import sys
 from pathlib import Path
 from typing import Dict, List, Mapping, Sequence, Tuple
 
-from embodied_active_learning.config import Config
-from embodied_active_learning.errors import EmbodiedActiveLearningError, SessionError
+from embodied_active_learning.errors import EmbodiedActiveLearningError
 from embodied_active_learning.figures.curves import Curve, draw_curves
 from embodied_active_learning.session.tables import COLUMNS
 from embodied_active_learning.sweep.comparison import (
@@ -38,11 +37,6 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--output", type=Path, default=Path(), help="folder of the files (default: this one)")
     options = parser.parse_args(arguments)
     try:
-        for path in options.runs:
-            if not path.exists():
-                raise SessionError(
-                    f"there is no {path}: give the folder of a session, such as {Config().session.root}/NAME"
-                )
         groups = group_records(load_records(options.runs), options.by)
         curves = compare_columns(groups)
         write_rows(options.output / "comparison.csv", comparison_rows(curves))

@@ -59,6 +59,10 @@ def load_records(folders: Sequence[Path]) -> List[Record]:
     """Return the records of folders: sessions, records, or folders of records. Raises SessionError if one has none."""
     records = []
     for folder in folders:
+        if not Path(folder).exists():
+            raise SessionError(
+                f"there is no {folder}: give the folder of a session, such as {Config().session.root}/NAME"
+            )
         inside = sorted(path.parent for path in Path(folder).glob(f"*/{RECORD_FILE}"))
         records += [load_record(path) for path in inside or [Path(folder)]]
     if not records:

@@ -137,7 +137,9 @@ class FrankaSupervisor:
         with self._driver.readiness() as readiness:
             others = readiness.report.others
         if others:
-            raise RobotError(f"{', '.join(others)} may move the robot: stop what it is, then call /arm/recover")
+            raise RobotError(
+                f"{', '.join(others)} may move the robot: stop that controller or node, then call /arm/recover"
+            )
 
     def _recover_on_request(self) -> None:
         self._recover()

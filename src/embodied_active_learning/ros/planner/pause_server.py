@@ -115,6 +115,6 @@ class PauseServer:
         return TriggerResponse(not others, f"still paused by {others}" if others else "was not paused")
 
     def _hold_back(self) -> None:
-        """Pause the arm; the names are shown because a pause by a task must not be resumed by a person."""
+        """Pause the arm, and show who has paused it: a task ends its pause itself."""
         resume = rospy.resolve_name(names.PLANNER_RESUME)
         self._arm.pause(f"a call of {resume}, or the end of the pause by {self._requests.text}")

@@ -47,7 +47,7 @@ PARAMETERS = (
     names.PLANNER_PAUSED_BY,
     "fingerprinter/has_paused_planner",
 )
-"""Persistent parameters."""
+"""Persistent parameters, in which an earlier launch may have left a stop, pause or failure."""
 
 
 class System:
