@@ -25,13 +25,13 @@ from embodied_active_learning.objects.decision_rule import make_rule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.scene_views import ObservedScene
-from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.simulation.world import World, load_world
 from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
+RANKED = "ranked (count known), our reading"
 PAPER = {
-    "ranked (count known), our reading": {"decision": BELIEF, "min_belief": 0.0},
+    RANKED: {"decision": BELIEF, "min_belief": 0.0},
     "belief > 0.5": {"decision": BELIEF},
 }
 """The paper does not state when a fingerprint counts as identified."""
@@ -46,13 +46,16 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=3, help="scenes of each condition")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--images", type=int, default=300, help="images of each scene")
+    parser.add_argument("--decision-only", action="store_true", help="without the paper's rules, which take most time")
     parser.add_argument("--baselines", nargs="*", default=[], choices=list(BASELINES))
     parser.add_argument("--error-rates", nargs="*", default=[], type=float, help="decide at these rates too")
     parser.add_argument("--reserved", action="store_true", help="use the reserved objects and tables")
     options = parser.parse_args()
     torch.set_num_threads(1)
     done = {(row["condition"], int(row["scene"])) for row in read_rows(options.output, missing_ok=True)}
-    evaluation = Evaluation(options.sessions, options.baselines, options.error_rates, options.reserved)
+    evaluation = Evaluation(
+        options.sessions, options.baselines, options.error_rates, options.reserved, options.decision_only
+    )
     for number in range(options.first, options.first + options.scenes):
         for condition in options.conditions:
             if (condition, number) not in done:
@@ -71,10 +74,19 @@ class Evaluation:
         baselines: Sequence[str] = (),
         error_rates: Sequence[float] = (),
         reserved: bool = False,
+        decision_only: bool = False,
     ) -> None:
-        """Load all fingerprints; baselines: names in BASELINES; error_rates: beside the default one."""
+        """Load all fingerprints.
+
+        Args:
+            sessions: Folders.
+            baselines: Names in BASELINES.
+            error_rates: To decide at, beside the default one.
+            reserved: Whether scenes have the reserved objects and tables.
+            decision_only: Whether to leave out the rules that need beliefs.
+        """
         self._settings = IdentificationConfig()
-        self._error_rates = error_rates
+        self._error_rates, self._decision_only = error_rates, decision_only
         sets = [load_fingerprints(path) for path in sessions]
         self.config = sets[0].config
         self._box = self.config.workspace.box()
@@ -102,34 +114,47 @@ class Evaluation:
 
     def _decisions(self, stream: Stream, scene: ObservedScene, world: World) -> Iterator[Tuple[str, List[Decision]]]:
         """The decisions of each rule."""
-        for features, search in ((LATENTS, self.search), (PIXELS, self._by_pixels)):
-            search.reset()
-            search.observe(stream.states, stream.images)
-            rules = {f"{name}, {features}": replace(self._settings, **changes) for name, changes in PAPER.items()}
-            if features == LATENTS:
-                rules["verified"] = self._settings
-                rules["verified, candidates of belief"] = replace(self._settings, candidates_from=FROM_BELIEF)
-                for rate in self._error_rates:
-                    rules[f"verified, error rate {rate:g}"] = replace(self._settings, error_rate=rate)
-            for name, settings in rules.items():
-                decisions = []
-                for group in by_session(search.targets):
-                    results = make_rule(settings).decide(group, scene, closed={})
-                    decided = [decision for result in results for decision in result.decisions]
-                    if "ranked" in name:
-                        session = group[0].session
-                        kinds = {item.fingerprint.name: self.kinds[session, item.fingerprint.name] for item in group}
-                        decided = keep_counted(decided, session, kinds, locations(world))
-                    decisions += decided
-                yield name, decisions
+        rates = {f"verified, error rate {rate:g}": rate for rate in self._error_rates}
+        for name, rate in {"verified": self._settings.error_rate, **rates}.items():
+            yield name, decide(self.search, replace(self._settings, error_rate=rate), scene)
+        if not self._decision_only:
+            yield from self._belief_decisions(stream, scene, world)
         objects = [item for item in self.search.targets if item.fingerprint.kind == OBJECT and not item.problem]
         for name, baseline in self._baselines.items():
             yield name, [baseline.decide(item, stream) for item in objects]
 
+    def _belief_decisions(
+        self, stream: Stream, scene: ObservedScene, world: World
+    ) -> Iterator[Tuple[str, List[Decision]]]:
+        """The decisions of each rule that uses beliefs."""
+        for features, search in ((LATENTS, self.search), (PIXELS, self._by_pixels)):
+            search.reset()
+            search.observe(stream.states, stream.images)
+            for name, changes in PAPER.items():
+                decisions = decide(search, replace(self._settings, **changes), scene)
+                if name == RANKED:
+                    decisions = self._keep_counted(decisions, world)
+                yield f"{name}, {features}", decisions
+        from_belief = replace(self._settings, candidates_from=FROM_BELIEF)
+        yield "verified, candidates of belief", decide(self.search, from_belief, scene)
 
-def by_session(targets: Sequence[SearchTarget]) -> List[List[SearchTarget]]:
-    """The targets of each session."""
-    return [[item for item in targets if item.session == name] for name in dict.fromkeys(t.session for t in targets)]
+    def _keep_counted(self, decisions: Sequence[Decision], world: World) -> List[Decision]:
+        """Keep as many of the best beliefs of each fingerprint as there are objects of its kind."""
+        kept = []
+        for session in dict.fromkeys(session for session, _ in self.kinds):
+            kinds = {name: kind for (other, name), kind in self.kinds.items() if other == session}
+            kept += keep_counted(decisions, session, kinds, locations(world))
+        return kept
+
+
+def decide(search: Identification, settings: IdentificationConfig, scene: ObservedScene) -> List[Decision]:
+    """Return the decisions about all fingerprints; those of one session exclude each other from a place."""
+    decisions = []
+    for name in dict.fromkeys(item.session for item in search.targets):
+        group = [item for item in search.targets if item.session == name]
+        results = make_rule(settings).decide(group, scene, closed={})
+        decisions += [decision for result in results for decision in result.decisions]
+    return decisions
 
 
 if __name__ == "__main__":
