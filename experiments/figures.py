@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Dict, List
+from typing import Dict, List, Mapping, Tuple
 
 from identification_figures import draw_identification
 
@@ -153,16 +153,27 @@ def ergodicity() -> None:
 
 
 def table1() -> None:
-    """List the successes of each rule and way of collecting images."""
+    """List the successes for each profile of the models, way of collecting images, and rule."""
     rows = read_rows(RESULTS / "table1" / "table1.csv")
     lines: List[str] = []
-    for variant in dict.fromkeys(row["images"].split("-")[0] for row in rows):
+    for profile, images in dict.fromkeys(map(variants, rows)):
         for rule in RULES:
-            chosen = [row for row in rows if row["rule"] == rule and row["images"].startswith(f"{variant}-")]
+            chosen = [row for row in rows if variants(row) == (profile, images) and row["rule"] == rule]
             header, *cells = table_lines(chosen)
-            models = len({row["model"] for row in chosen})
-            lines += [f"Images: {variant}; rule: {rule}; models: {models} of 20.", "", *markdown(header, cells), ""]
+            count = len({row["model"] for row in chosen})
+            name = "paper" if profile == "paper" else "default"
+            lines += [
+                f"Profile: {name}; images: {images}; rule: {rule}; models: {count}.",
+                "",
+                *markdown(header, cells),
+                "",
+            ]
     replace_block(PAGE, "table1", lines[:-1])
+
+
+def variants(row: Mapping[str, str]) -> Tuple[str, str]:
+    """Return the variants of a row of Table 1: of the model's sweep and of the images' sweep."""
+    return row["model"].split("-")[0], row["images"].split("-")[0]
 
 
 def pac_bayes() -> None:

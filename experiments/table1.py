@@ -6,9 +6,9 @@
     python3 -m embodied_active_learning.sweep experiments/identification_images.yaml     # the images
     python3 experiments/table1.py SWEEPS/learning_metrics SWEEPS/identification_images
 
-Every finished ergodic run is a model. Missing fingerprints are collected. A model is tested in its own environment and
-in all test environments of which there are images. Rows are written to experiments/results/table1/table1.csv as they
-are made; an interrupted call continues.
+Every finished run of the ergodic explorer is a model. Missing fingerprints are collected. A model is tested in its own
+environment and in all test environments of which there are images. Rows are written to
+experiments/results/table1/table1.csv as they are made; an interrupted call continues.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=RESULTS)
     options = parser.parse_args()
     made = {(row["model"], row["images"]) for row in read_rows(options.output, missing_ok=True)}
-    for model in finished(options.models, "ergodic-*"):
-        for images in finished(options.images, "*"):
+    models = [item for item in finished(options.models) if item.config.exploration.explorer == "ergodic"]
+    for model in models:
+        for images in finished(options.images):
             environment = world(images)
             if (model.name, images.name) not in made and environment in (world(model), *PAPER):
                 key = {"model": model.name, "images": images.name, "environment": environment}
@@ -44,9 +45,9 @@ def main() -> None:
                 print(f"{model.name} in {images.name}: " + ", ".join(map(text, rows)), flush=True)
 
 
-def finished(folder: Path, pattern: str) -> Tuple[Session, ...]:
+def finished(folder: Path) -> Tuple[Session, ...]:
     """Return the finished sessions in a folder, sorted by name."""
-    found = [Session.open_read_only(path.parent) for path in sorted(folder.glob(f"{pattern}/summary.yaml"))]
+    found = [Session.open_read_only(path.parent) for path in sorted(folder.glob("*/summary.yaml"))]
     return tuple(session for session in found if read_summary(session.paths.summary).finished)
 
 

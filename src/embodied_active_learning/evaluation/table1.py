@@ -45,6 +45,8 @@ def ensure_fingerprints(session: Session) -> FingerprintSet:
 def measure(model: Session, images_of: Session, images: int) -> Iterator[Dict[str, object]]:
     """Yield a row for each rule and kind of object: successes and tests of one model's fingerprints.
 
+    Beliefs treat evidence as the model's configuration states.
+
     Args:
         model: Session whose fingerprints are searched for.
         images_of: Session of the environment.
@@ -54,7 +56,8 @@ def measure(model: Session, images_of: Session, images: int) -> Iterator[Dict[st
     kinds = true_kinds(ensure_fingerprints(model), true_objects(model.config))
     for rule, settings in RULES.items():
         name = f"{model.name[:40]}-{rule}"
-        decisions = identify(model, images_of, images, name, overwrite=True, **settings)
+        evidence = model.config.identification.evidence
+        decisions = identify(model, images_of, images, name, overwrite=True, evidence=evidence, **settings)
         if rule == RANKED:
             decisions = keep_counted(decisions, model.name, kinds, objects)
         for kind in sorted(set(kinds.values()) - {""}):
