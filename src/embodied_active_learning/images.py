@@ -49,6 +49,7 @@ _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8\xff", b"\xff\xda", b"\xff\xd9"
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # markers of the segment with the size
 _JPEG_ALONE = frozenset((0x01, *range(0xD0, 0xD8)))  # markers without a segment
 _PNG_START = b"\x89PNG\r\n\x1a\n"
+_PNG_DEPTH = 24  # position of the byte with the bits per channel
 
 
 def decode_raw(data: bytes, encoding: str, height: int, width: int, step: int) -> np.ndarray:
@@ -104,6 +105,8 @@ def decode_compressed(data: bytes) -> np.ndarray:
         remedy = _REMEDY if data.startswith(tuple(_SIZE_OF)) else "set the compression of the camera driver"
         raise ObservationError(f"compressed image {error}: {remedy}") from None
     _check_size(height, width)
+    if data.startswith(_PNG_START) and data[_PNG_DEPTH] > 8:  # OpenCV would keep the higher byte: dark images
+        raise ObservationError(f"PNG image has {data[_PNG_DEPTH]} bits per channel: set 8 bits in the camera's driver")
     picture = decode_pixels(data, height, width)
     if picture is None:
         raise ObservationError(f"compressed image is damaged, its content cannot be decoded: {_REMEDY}")

@@ -158,6 +158,7 @@ def bomb(size):
         (png(colours())[:20], "damaged, its end is missing"),
         (b"\xff\xd8\xff\xd9", "damaged, its size is missing"),
         (png(colours()).replace(b"IDAT", b"IDAT"[::-1]), "a checksum in it is wrong"),
+        (png(16 * colours().astype(np.uint16)), "has 16 bits per channel: set 8 bits"),
         (bomb(60000), "image is 60000 x 60000 pixels"),
         (bomb(100), "its content cannot be decoded"),
         (bytes(MAX_DATA + 1), "at most"),

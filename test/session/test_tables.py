@@ -102,7 +102,7 @@ def test_table_of_other_columns_is_rejected_untouched(tmp_path):
     assert path.read_text() == "a,b\n1,2\n"
 
 
-HEADERS = ("value,step", "step", "value", "step,other", "step,value,more", "", "step,", "st")
+HEADERS = ("value,step", "value", "step,other", "step,value,more", "", "step,", "st")
 
 
 @pytest.mark.parametrize("content", [*(f"{header}\n1,2\n" for header in HEADERS), "no line"])
@@ -113,6 +113,15 @@ def test_reordered_or_foreign_header_is_rejected(tmp_path, content):
         with pytest.raises(CorruptFileError, match=r"t\.csv: the header is"):
             attempt(path, NAMES)
     assert path.read_text() == content
+
+
+def test_column_that_an_earlier_version_did_not_write_is_nan(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("step\n0\n1\n2")
+    assert np.isnan(read_table(path, NAMES)["value"]).all()
+    with Table(path, NAMES) as table:
+        table.append({"step": 2, "value": 0.5})
+    assert path.read_text() == "step,value\n0,\n1,\n2,0.5\n"
 
 
 def test_resume_truncates_table(tmp_path):

@@ -69,6 +69,11 @@ def image_message(stamp: rospy.Time, image: np.ndarray) -> Image:
     return Image(header, height, width, "rgb8", 0, 3 * width, image.tobytes())
 
 
+def decode_image(message: Image) -> np.ndarray:
+    """Return the image (H, W, 3) uint8 RGB of a message. Raises ObservationError if it is malformed or unsupported."""
+    return decode_raw(message.data, message.encoding, message.height, message.width, message.step)
+
+
 def image_array(message: Image, height: int, width: int) -> np.ndarray:
     """Return the image (height, width, 3) uint8 RGB of a message in rgb8 or bgr8.
 
@@ -82,7 +87,7 @@ def image_array(message: Image, height: int, width: int) -> np.ndarray:
             f"image is {message.width} x {message.height} pixels, the model takes {width} x {height}: "
             "set camera/width and camera/height, or scale the images"
         )
-    return decode_raw(message.data, message.encoding, height, width, message.step)
+    return decode_image(message)
 
 
 def camera_info_message(stamp: rospy.Time, intrinsics: np.ndarray, height: int, width: int) -> CameraInfo:

@@ -1,4 +1,8 @@
-"""The CSV tables of a run: appended row by row, truncated on resume, readable at any time."""
+"""The CSV tables of a run: appended row by row, truncated on resume, readable at any time.
+
+Columns may be added to COLUMNS: a table that lacks some is read as if they were NaN, and completed when its run is
+resumed.
+"""
 
 from __future__ import annotations
 
@@ -69,10 +73,7 @@ class Table:
     def truncate_after(self, column: str, value: float) -> None:
         """Delete the rows with a larger value in a column: they were written after the state that is resumed."""
         rows = _rows(self.path, _READER.read_bytes(self.path), self.columns)
-        kept = [row for row in rows if _number(row[self.columns.index(column)]) <= value]
-        write_bytes(self.path, "".join(",".join(row) + "\n" for row in [self.columns, *kept]).encode("utf-8"))
-        self.close()
-        self._open()
+        self._rewrite([row for row in rows if _number(row[self.columns.index(column)]) <= value])
 
     def close(self) -> None:
         """Close the file and release its lock."""
@@ -94,13 +95,21 @@ class Table:
             lock.claim(self._stream, self.path)
             content = _READER.read_bytes(self.path)
             whole = content.rfind(b"\n") + 1
-            _rows(self.path, content, self.columns)  # raises for a damaged table
+            rows = _rows(self.path, content, self.columns)  # raises for a damaged table
             self._cut(whole)
             if not whole:
                 self._write(",".join(self.columns))
         except BaseException:
             self.close()
             raise
+        if whole and _columns_of(content, self.columns) != self.columns:
+            self._rewrite(rows)
+
+    def _rewrite(self, rows: Sequence[Sequence[str]]) -> None:
+        """Replace the file by a header and rows, and open the new one."""
+        write_bytes(self.path, "".join(",".join(row) + "\n" for row in [self.columns, *rows]).encode("utf-8"))
+        self.close()
+        self._open()
 
     def _write(self, line: str) -> None:
         content, end = (line + "\n").encode("utf-8"), self._stream.tell()
@@ -134,19 +143,29 @@ def read_table(path: Path, columns: Sequence[str]) -> Dict[str, np.ndarray]:
     return {name: values[:, index] for index, name in enumerate(columns)}
 
 
-def _check_header(path: Path, content: bytes, columns: Sequence[str]) -> None:
-    """Check the columns of a file; an incomplete header counts as complete. Raises CorruptFileError for others."""
+def _columns_of(content: bytes, columns: Sequence[str]) -> Tuple[str, ...]:
+    """Return the columns of a file: all expected ones, or some of them in their order.
+
+    Raises ValueError with the header for another one.
+    """
     whole = ",".join(columns)
     line, newline, _ = content.partition(b"\n")
     found = line[: len(whole) + 1].decode("utf-8", "replace")
-    if found != whole and (newline or not whole.startswith(found)):
-        raise _READER.make_error(f"{path}:", f"the header is {short_repr(found.split(','))}, expected {list(columns)}")
+    if not newline and whole.startswith(found):
+        return tuple(columns)  # an incomplete header
+    names = tuple(found.split(","))
+    if names != tuple(name for name in columns if name in names) or columns[0] not in names:
+        raise ValueError(short_repr(list(names)))
+    return names
 
 
 def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]:
-    """Return the texts of every complete row after the header."""
-    _check_header(path, content, columns)
-    count = len(columns)
+    """Return the texts of every complete row after the header, empty in the columns that the file lacks."""
+    try:
+        names = _columns_of(content, columns)
+    except ValueError as error:
+        raise _READER.make_error(f"{path}:", f"the header is {error}, expected {list(columns)}") from error
+    count = len(names)
     text = content.decode("utf-8", "replace")
     try:
         lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
@@ -155,7 +174,7 @@ def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]
     for number, line in enumerate(lines[1:], start=2):
         if len(line) != count or not all(_is_number(value) for value in line):
             raise CorruptFileError(f"{path}: line {number} is {short_repr(line)}, expected {count} numbers: delete it")
-    return lines[1:]
+    return [[dict(zip(names, line)).get(name, "") for name in columns] for line in lines[1:]]
 
 
 def _text(value: Any) -> str:

@@ -20,7 +20,8 @@ def system(monkeypatch):
 
 
 def test_system_with_same_arm_settings_is_accepted(system):
-    system["config"] = merge(OWN.to_dict(), {"exploration": {"seed": 7}, "session": {"name": "another"}})
+    changes = {"exploration": {"seed": 7}, "session": {"name": "another"}, "arm": {"retries": 9}}
+    system["config"] = merge(OWN.to_dict(), changes)
     ConfigCheck(OWN).require()
 
 

@@ -15,6 +15,8 @@ PERIOD = 2.0
 """Wall seconds between two checks of the system's configuration."""
 SHARED = ("workspace", "camera", "arm", "franka")
 """Sections that describe the arm and its camera: they must be the same for the arm and for its commander."""
+COMMANDER_ONLY = ("arm/retries", "camera/allow_featureless")
+"""Settings in these sections that the arm's node does not read."""
 
 
 def require_matching_config(own: Config, values: Any) -> None:
@@ -28,7 +30,7 @@ def require_matching_config(own: Config, values: Any) -> None:
     ours = own.to_dict()
     for section in SHARED:
         for key, value in ours[section].items():
-            if theirs[section][key] != value:
+            if theirs[section][key] != value and f"{section}/{key}" not in COMMANDER_ONLY:
                 raise CommandError(
                     f"configuration mismatch: {section}/{key} is {theirs[section][key]!r} in the system and {value!r} "
                     "in the arm's node; give both launch files the same robot_profile and profile"

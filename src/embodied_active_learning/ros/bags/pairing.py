@@ -11,11 +11,11 @@ from sensor_msgs.msg import Image
 
 from embodied_active_learning.config import CameraConfig, Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.images import Framing, decode_raw
+from embodied_active_learning.images import Framing
 from embodied_active_learning.msg import PlanarState
 from embodied_active_learning.ros.camera.image_buffer import STILL_DISTANCE, STILL_TURN, ImageBuffer, exposure_stamp
 from embodied_active_learning.ros.camera.pose_buffer import CAPACITY, PoseBuffer, moved
-from embodied_active_learning.ros.conversions import image_message, state_arrays
+from embodied_active_learning.ros.conversions import decode_image, image_message, state_arrays
 
 PERIOD_TOLERANCE = 0.001
 """Seconds by which a period may be shorter than requested, for inexact stamps."""
@@ -113,6 +113,6 @@ def model_image(image: Image, camera: CameraConfig) -> Image:
 
     Raises ObservationError for a malformed image or an unsupported encoding.
     """
-    array = decode_raw(image.data, image.encoding, image.height, image.width, image.step)
-    framing = Framing.between((image.height, image.width), (camera.height, camera.width))
+    array = decode_image(image)  # before its size is used
+    framing = Framing.between(array.shape[:2], (camera.height, camera.width))
     return image_message(image.header.stamp, framing.apply(array))

@@ -7,10 +7,10 @@ from typing import Optional, Tuple, Union
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from embodied_active_learning.config import CameraConfig
-from embodied_active_learning.images import Framing, decode_compressed, decode_raw
+from embodied_active_learning.images import Framing, decode_compressed
 from embodied_active_learning.ros import names
 from embodied_active_learning.ros.camera.camera_info import ImageCalibration, image_calibration
-from embodied_active_learning.ros.conversions import image_message
+from embodied_active_learning.ros.conversions import decode_image, image_message
 
 Picture = Union[Image, CompressedImage]
 
@@ -43,10 +43,7 @@ class ImageConverter:
     def convert(self, picture: Picture) -> Tuple[Image, CameraInfo]:
         """Return image and camera_info with the picture's stamp. Raises ObservationError for an unusable picture."""
         raw = isinstance(picture, Image)
-        if raw:
-            array = decode_raw(picture.data, picture.encoding, picture.height, picture.width, picture.step)
-        else:
-            array = decode_compressed(picture.data)
+        array = decode_image(picture) if raw else decode_compressed(picture.data)
         height, width = array.shape[:2]
         self.format = f"{width} x {height}, {picture.encoding if raw else picture.format}"
         framing = Framing.between((height, width), (self._camera.height, self._camera.width))
