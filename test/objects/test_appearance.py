@@ -237,7 +237,12 @@ def test_evidence_figure_is_written(appearance, views, tmp_path):
 
 def test_simulated_light_and_noise_are_those_of_a_camera(appearance, monkeypatch):
     """Half the light halves all channels, and noise is added in levels."""
-    for name, value in {"_GAIN": (-0.7, -0.7), "_GRADIENT": 0.0, "_BALANCE": 0.0, "_DIFFERENCE": (0.0, 0.0)}.items():
+    for name, value in {
+        "_GAIN_RANGE": (-0.7, -0.7),
+        "_MAX_GRADIENT": 0.0,
+        "_MAX_BALANCE": 0.0,
+        "_DIFFERENCE": (0.0, 0.0),
+    }.items():
         monkeypatch.setattr(simulated_views, name, value)
     scenes = []
     for noise in (0.0, 2.0):

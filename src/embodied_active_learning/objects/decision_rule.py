@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
@@ -87,10 +87,8 @@ class DecisionRule(ABC):
             closed: Candidates of targets by label, which are not evaluated again.
         """
         groups = [closed.get(target.label) or self.candidates(target, scene) for target in targets]
-        winners = self._winners([candidate for group in groups for candidate in group])
         results = []
-        for target, group in zip(targets, groups):
-            resolved = [_resolved(candidate, winners) for candidate in group]
+        for target, group, resolved in zip(targets, groups, self._resolve(groups)):
             is_open = self.is_open(target, resolved, scene)
             places = self.open_places(target, resolved) if is_open else []
             results.append(TargetResult(target, group, _best_decisions(resolved), is_open, places))
@@ -115,16 +113,18 @@ class DecisionRule(ABC):
             reason=reason,
         )
 
-    def _winners(self, candidates: Sequence[Decision]) -> List[Tuple[Decision, Decision]]:
-        """Pair each found candidate with the winner of its place: itself, or a better one of the same kind."""
+    def _resolve(self, groups: Sequence[Sequence[Decision]]) -> List[List[Decision]]:
+        """Reject each found candidate of which a better one of another fingerprint was found at the same place."""
         accepted: List[Decision] = []
-        winners: List[Tuple[Decision, Decision]] = []
-        for candidate in sorted((item for item in candidates if item.found), key=self.rank):
-            winner = next((other for other in accepted if self._compete(candidate, other)), candidate)
-            winners.append((candidate, winner))
-            if winner is candidate:
+        rejected: Dict[int, Decision] = {}  # by the identity of the candidate that is replaced
+        for candidate in sorted((item for group in groups for item in group if item.found), key=self.rank):
+            winner = next((other for other in accepted if self._compete(candidate, other)), None)
+            if winner is None:
                 accepted.append(candidate)
-        return winners
+            else:
+                reason = f"{winner.fingerprint} is more similar there"
+                rejected[id(candidate)] = replace(candidate, outcome=NOT_HERE, reason=reason)
+        return [[rejected.get(id(item), item) for item in group] for group in groups]
 
     def _compete(self, one: Decision, other: Decision) -> bool:
         """Whether two different objects cannot both be where they were found."""
@@ -146,7 +146,7 @@ class ViewRule(DecisionRule):
         places, table_match = propose(mosaic, target.appearance, settings.candidates)
         if settings.candidates_from == FROM_BELIEF:
             peaks = target.grid.peaks(settings.separation, settings.candidates)
-            places = [_starts(target, peak) for peak in peaks]
+            places = [_poses_at(target, peak) for peak in peaks]
         miss = target.calibration.limits(settings.error_rate).miss
         found = [
             refine(target.appearance, scene.views, starts, settings, mosaic.above(starts[0, :2]), miss)
@@ -302,15 +302,7 @@ def _is_in_table_plane(target: SearchTarget, views: SceneViews, pose: np.ndarray
     return relief is not None and relief.is_in_table_plane(points)
 
 
-def _resolved(candidate: Decision, winners: Sequence[Tuple[Decision, Decision]]) -> Decision:
-    """Return the candidate, rejected if another fingerprint of the same model won its place."""
-    winner: Optional[Decision] = next((won for other, won in winners if other is candidate), None)
-    if winner is None or winner is candidate:
-        return candidate
-    return replace(candidate, outcome=NOT_HERE, reason=f"{winner.fingerprint} is more similar there")
-
-
-def _starts(target: SearchTarget, peak: Peak) -> np.ndarray:
+def _poses_at(target: SearchTarget, peak: Peak) -> np.ndarray:
     """Poses (Y, 3) at a peak of a belief, at its yaws of the highest belief."""
     yaws = target.grid.yaw_peaks(peak.pose, _YAWS)
     return np.array([_refined(np.array([*peak.pose[:2], yaw]), target.trace) for yaw in yaws])

@@ -33,7 +33,8 @@ _YAWS = np.arange(36) * (2.0 * np.pi / 36)
 _COLOURS = 3
 _GAINS = (-0.9, -0.5, -0.15, 0.2)
 """Log gains between the stored views and the scene that candidates are searched with."""
-_BALANCE = 0.05
+_SHARE_TOLERANCE = 0.05
+"""Difference of colour shares that a white balance may explain while candidates are searched."""
 _PEAK_SIZE = 9
 """Side of the window in which a candidate place is the maximum, in pixels of the mosaic."""
 _STARTS = 6
@@ -99,7 +100,7 @@ def propose(mosaic: Mosaic, appearance: Appearance, count: int) -> Proposals:
     best = np.where(mosaic.inside, maps.max(axis=0), -np.inf)
     rows, columns = np.nonzero((maximum_filter(best, _PEAK_SIZE) == best) & mosaic.inside)
     order = np.argsort(-best[rows, columns], kind="stable")[:count]
-    places = [_starts(mosaic, maps, rows[index], columns[index]) for index in order]
+    places = [_starting_poses(mosaic, maps, rows[index], columns[index]) for index in order]
     shown = mosaic.inside & mosaic.seen
     table_match = max(float((layer[-1][shown] > 0.5).mean()) for layer in layers) if shown.any() else 0.0
     return Proposals(places, table_match)
@@ -193,7 +194,7 @@ def _colour_matches(mosaic: Mosaic, colours: np.ndarray, gain: float) -> np.ndar
     for colour in colours:
         luminance = luminance_of(colour)
         shift = mosaic.features[..., 1:] - colour[1:] / dark_factor(luminance) * mosaic.darkness[..., None]
-        shift = np.sign(shift) * np.maximum(np.abs(shift) - _BALANCE, 0.0)
+        shift = np.sign(shift) * np.maximum(np.abs(shift) - _SHARE_TOLERANCE, 0.0)
         error = ((mosaic.features[..., 0] - log_luminance(np.exp(gain) * luminance)) / LUMINANCE_SCALE) ** 2
         layers.append(mosaic.seen / (1.0 + error + colour_distance(shift) / COLOUR_SCALE**2))
     return np.stack([*layers, np.max(layers, axis=0)]).astype(np.float32)
@@ -222,7 +223,7 @@ def _kernels(appearance: Appearance, view: int, labels: np.ndarray, yaw: float, 
     return kernels
 
 
-def _starts(mosaic: Mosaic, maps: np.ndarray, row: int, column: int) -> np.ndarray:
+def _starting_poses(mosaic: Mosaic, maps: np.ndarray, row: int, column: int) -> np.ndarray:
     """(Y, 3) poses around a pixel, at the yaws that are local maxima there, the best one first.
 
     Each yaw has its own best pixel, because the object turns around a centre that need not be its middle.

@@ -32,12 +32,12 @@ LUMINANCE_SCALE, COLOUR_SCALE = 0.2, 0.12
 shading moves over an object that is turned under a fixed light."""
 _MAX_CONTRAST = (0.2, 0.1)
 """Upper limits of the contrast that is added: more contrast is a pattern of several colours, not shading."""
-_GAIN = (-1.0, 0.6)
+_GAIN_LIMITS = (-1.0, 0.6)
 """Limits of the gain: log luminance of the view minus that of the stored view."""
-_GRADIENT = 0.3
+_MAX_GRADIENT = 0.3
 """Limit of its change per 5 cm."""
 _GRADIENT_PRIOR = 12.0
-_BALANCE = 0.26
+_MAX_BALANCE = 0.26
 """Limit of the white balance: largest difference between the log gains of two channels."""
 _BALANCE_PRIOR = 0.01
 """Weight of a prior of no change, relative to that of the points, for channels that the object does not reflect."""
@@ -91,7 +91,9 @@ def similarity(
         poses: (P, 3) poses of the object [m, m, rad].
         stride: Use every n-th point only.
     """
-    values = np.array([_in_view(appearance, views, one, other, poses, stride) for one, other in zip(chosen, stored)])
+    values = np.array(
+        [_similarity_in_view(appearance, views, one, other, poses, stride) for one, other in zip(chosen, stored)]
+    )
     return masked_median(values, values > NOT_SHOWN, 0, NOT_SHOWN)
 
 
@@ -120,7 +122,7 @@ def _scale(appearance: Appearance) -> Tuple[float, float]:
     return float(np.hypot(LUMINANCE_SCALE, luminance)), float(np.hypot(COLOUR_SCALE, colour))
 
 
-def _in_view(
+def _similarity_in_view(
     appearance: Appearance, views: Views, view: int, stored: int, poses: np.ndarray, stride: int
 ) -> np.ndarray:
     """Similarity (P,) in one view; NOT_SHOWN where it does not show enough of the object."""
@@ -192,7 +194,7 @@ def _fit_light(
         determinant = xx * yy - xy**2
         gradient = gradient + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], axis=-1) / determinant[:, None]
     balance = _fit_balance(change[..., 1:], weight, points.jacobian)
-    return Light(np.clip(gain, *_GAIN), np.clip(gradient, -_GRADIENT, _GRADIENT), balance)
+    return Light(np.clip(gain, *_GAIN_LIMITS), np.clip(gradient, -_MAX_GRADIENT, _MAX_GRADIENT), balance)
 
 
 def _fit_balance(change: np.ndarray, weight: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
@@ -204,7 +206,7 @@ def _fit_balance(change: np.ndarray, weight: np.ndarray, jacobian: np.ndarray) -
     solution = np.stack([yy * right[:, 0] - xy * right[:, 1], xx * right[:, 1] - xy * right[:, 0]], axis=-1)
     gains = solution / (xx * yy - xy**2)[:, None]
     largest = np.maximum(np.abs(gains).max(axis=1), np.abs(gains[:, 0] - gains[:, 1]))
-    return np.asarray(gains * np.minimum(1.0, _BALANCE / np.maximum(largest, 1e-6))[:, None])
+    return np.asarray(gains * np.minimum(1.0, _MAX_BALANCE / np.maximum(largest, 1e-6))[:, None])
 
 
 def _match(change: np.ndarray, points: Points, light: Light, scale: Tuple[float, float]) -> np.ndarray:

@@ -19,8 +19,9 @@ from embodied_active_learning.objects.appearance import PIXEL, SIDE, Appearance,
 from embodied_active_learning.objects.colours import GRADIENT_UNIT, colour_distance, colour_features, colours_of
 
 LOOK_ALIKES = ("stretched", "scaled", "bent", "mirrored", "recoloured", "plain")
-_GAIN, _GRADIENT, _BALANCE = (-0.9, 0.4), 0.25, 0.12
-"""Ranges of the light: log luminance, its change per 5 cm, log gains of the channels."""
+_GAIN_RANGE, _MAX_GRADIENT, _MAX_BALANCE = (-0.9, 0.4), 0.25, 0.12
+"""Ranges of the light: log luminance, its change per 5 cm, log gains of the channels. They lie within the limits in
+similarity.py, so that the fit can explain what is simulated."""
 _NOISE = (0.0, 2.5)
 """Range of the standard deviation of the noise after the blur, in levels: up to 11 levels before it."""
 _DIFFERENCE = (0.01, 0.05)
@@ -45,7 +46,7 @@ class SimulatedViews:
         self._random = random
         self._look_alike = look_alike
         self._brightness = _draw_brightness(random)
-        self._balance = random.uniform(-_BALANCE, _BALANCE, 3)
+        self._balance = random.uniform(-_MAX_BALANCE, _MAX_BALANCE, 3)
         self._table = _draw_table(random)
         self._noise = random.uniform(*_NOISE)
         self._difference = random.uniform(*_DIFFERENCE) if look_alike else 0.0
@@ -116,8 +117,8 @@ class SimulatedViews:
 
 def _draw_brightness(random: np.random.Generator) -> np.ndarray:
     """A change (SIDE, SIDE) of the log luminance by other light."""
-    gradient = random.uniform(-_GRADIENT, _GRADIENT, 2) / GRADIENT_UNIT
-    return np.asarray(random.uniform(*_GAIN) + _PIXELS @ gradient)
+    gradient = random.uniform(-_MAX_GRADIENT, _MAX_GRADIENT, 2) / GRADIENT_UNIT
+    return np.asarray(random.uniform(*_GAIN_RANGE) + _PIXELS @ gradient)
 
 
 def _draw_table(random: np.random.Generator) -> np.ndarray:

@@ -263,11 +263,12 @@ class TrainingRun:
     def _advance(self, on_update: Callable[[UpdateReport], None], on_finish: Callable[[], None]) -> None:
         """Make an update, finish the run or wait, whichever is due; then write a checkpoint if requested."""
         if self.updates < self.updates_due:
+            before = self.updates
             if self.pool is None:
-                self._make_update(on_update, self.updates + 1)
-                self._after_updates(self.updates - 1)
+                self._make_update(on_update, before + 1)
             else:
                 self._make_round(self.pool, on_update)
+            self._after_updates(before)
         elif self._is_complete():
             self._finish()
             on_finish()
@@ -276,7 +277,7 @@ class TrainingRun:
         self._save_if_requested()
 
     def _make_update(self, on_update: Callable[[UpdateReport], None], end: int, trainers: int = 1) -> None:
-        """Make an update that is reported as number `end` at most."""
+        """Make an update that is reported as number `end` at most: in a round, others make part of the updates."""
         report = self._learner.update(trainers)
         report = dataclasses.replace(report, update=min(report.update, end))
         self._tables["training"].append(report)
@@ -292,7 +293,6 @@ class TrainingRun:
         if self.updates < end:  # others have not made theirs, and this trainer's have now other numbers
             self._tables["training"].truncate_after("update", self.updates)
         self._tables["rounds"].append(made)
-        self._after_updates(first)
 
     def _after_updates(self, before: int) -> None:
         """Evaluate, refresh a replica and write a checkpoint if that became due after update number `before`."""
