@@ -91,7 +91,7 @@ def run(evaluation: Evaluation, condition: str, scene: int, explorer: str, max_i
         condition,
         scene,
         explorer,
-        search.images,
+        search.image_count,
         int(search.all_closed),
         len(there),
         sum(row.hit for row in there),

@@ -202,7 +202,7 @@ def test_unseen_workspace_leaves_absence_undecided():
 
 def test_nothing_found_before_first_image():
     search = make_identification()
-    assert search.images == 0
+    assert search.image_count == 0
     assert search.targets[0].trace.pose.shape == (0, 3)
     for item in search.decide(np.empty((0, 3)), np.empty((0, 45, 45, 3), np.uint8)):
         assert_not_found([item])
@@ -222,7 +222,7 @@ def test_reset_search_gives_decisions_of_new_search():
     search = make_identification()
     search.observe(*stream((put(RED, THERE),)))
     search.reset()
-    assert search.images == 0
+    assert search.image_count == 0
     search.observe(*stream())
     for one, other in zip(search.decide(*stream()), decide()):
         np.testing.assert_array_equal(one.pose, other.pose)
@@ -424,7 +424,7 @@ def test_result_independent_of_stream_chunks():
     search = make_identification()
     for part in np.split(np.arange(len(states)), [1, 64, 65, 140]):
         search.observe(states[part], images[part])
-    assert search.images == len(states)
+    assert search.image_count == len(states)
     for item, expected in zip(search.decide(states, images), decide()):
         np.testing.assert_allclose(item.pose, expected.pose, atol=1e-9)
         assert (item.found, item.views, item.reason) == (expected.found, expected.views, expected.reason)

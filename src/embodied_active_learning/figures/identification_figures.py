@@ -30,21 +30,21 @@ def draw_identification(
         The paths of the figures.
     """
     workspace = run.config.workspace.box()
-    view = compose_top_view(run.pictures, run.states, run.config.camera, workspace)
+    view = compose_top_view(run.images, run.states, run.config.camera, workspace)
     panels = [_panel(target, decisions) for target in run.identification.targets]
     by_views = run.identification.by_views
     paths = [draw_beliefs(run.figures / "beliefs.png", workspace, panels, view, truth, pdf, run.unknown, by_views)]
     targets = [target for target in run.identification.targets if target.fingerprint.kind == OBJECT]
     evidence = [_evidence(target, decisions) for target in targets[:MAX_TRACES]]
     if by_views and evidence:
-        views = SceneViews(run.states, run.pictures, run.config.camera)
+        views = SceneViews(run.states, run.images, run.config.camera)
         paths.append(draw_evidence(run.folder / "evidence.png", evidence, views, pdf))
     if run.unknown:
         paths.append(draw_unknown(run.folder / "unknown.png", run.unknown, pdf))
     for target in run.identification.targets[:MAX_TRACES]:
         own = decisions_about(decisions, target.session, target.fingerprint.name)
         path = run.folder / f"trace-{target.session}-{target.fingerprint.name}.png"
-        measured = (target.trace, run.states, run.pictures)
+        measured = (target.trace, run.states, run.images)
         trace = Trace(target.label, *measured, target.fingerprint, target.threshold, own, truth)
         paths.append(draw_trace(path, trace, pdf))
     return paths

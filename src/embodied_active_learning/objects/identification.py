@@ -94,7 +94,7 @@ class Identification:
     def _start(self) -> None:
         """Start a stream."""
         self._weights = EvidenceWeights(self._settings)
-        self.images = 0
+        self.image_count = 0
         self.all_closed = False
         """Whether more images change no decision, whatever the outcomes, as of the last call of `decide`."""
         self.open_places: np.ndarray = np.empty((0, 2))
@@ -115,7 +115,7 @@ class Identification:
             for matcher, targets in self._groups:
                 for target, matches in zip(targets, matcher.match(states[part], images[part])):
                     target.observe(matches, weights)
-            self.images += len(states[part])
+            self.image_count += len(states[part])
 
     def decide(self, states: np.ndarray, images: np.ndarray) -> List[Decision]:
         """Decide for every fingerprint, given the states (N, 3) [m, m, rad] and images of the stream so far.

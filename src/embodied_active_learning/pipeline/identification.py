@@ -98,7 +98,7 @@ class IdentificationRun:
         self._next_evaluation = FIRST_EVALUATION
         with ExitStack() as opened:
             self._store = opened.enter_context(self._session.open_observations())
-            self.images = self._images_to_process(images, must_be_stored)
+            self.max_images = self._largest_count(images, must_be_stored)
             opened.pop_all()
 
     @property
@@ -114,12 +114,12 @@ class IdentificationRun:
     @property
     def processed(self) -> int:
         """Number of processed images."""
-        return self.identification.images
+        return self.identification.image_count
 
     @property
     def complete(self) -> bool:
         """Whether more images change no decision, or all images are processed."""
-        return self.identification.all_closed or self.processed >= self.images
+        return self.identification.all_closed or self.processed >= self.max_images
 
     @property
     def states(self) -> np.ndarray:
@@ -127,7 +127,7 @@ class IdentificationRun:
         return self._store.raw_states[: self.processed]
 
     @property
-    def pictures(self) -> np.ndarray:
+    def images(self) -> np.ndarray:
         """(N, H, W, 3) uint8, the processed images."""
         return self._store.images[: self.processed]
 
@@ -141,20 +141,20 @@ class IdentificationRun:
         """
         if len(self._store) == self.processed:
             self._store.refresh()
-        limits = [self.processed + CHUNK, self.images, len(self._store)]
+        limits = [self.processed + CHUNK, self.max_images, len(self._store)]
         if self._sequential:
             limits.append(self._next_evaluation)
         part = slice(self.processed, min(limits))
         states, images = self._store.raw_states[part], self._store.images[part]
         self.identification.observe(states, images)
         if self._sequential and len(states) and self.processed >= self._next_evaluation:
-            self.identification.decide(self.states, self.pictures)
+            self.identification.decide(self.states, self.images)
             self._next_evaluation = next_evaluation(self.processed, self.identification.open_count)
         return len(states)
 
     def decide(self) -> List[Decision]:
         """Decide for every fingerprint from the images processed so far."""
-        decisions = self.identification.decide(self.states, self.pictures)
+        decisions = self.identification.decide(self.states, self.images)
         self.unknown = self.identification.unknown_objects(decisions)
         return decisions
 
@@ -172,7 +172,7 @@ class IdentificationRun:
     def __exit__(self, *_details: object) -> None:
         self.close()
 
-    def _images_to_process(self, requested: int, must_be_stored: bool) -> int:
+    def _largest_count(self, requested: int, must_be_stored: bool) -> int:
         """Return the largest number of images to process. Raises SessionError if it is invalid or too large."""
         images = requested or self.stored
         if images < 1:

@@ -98,7 +98,7 @@ def save_identification(
         SessionError: The disk failed; the earlier one is kept, unless the message says that the new one was written.
     """
     folder = identification_folder(session_path, name)
-    facts = {"images": identification.images, "session": session_path.name}
+    facts = {"images": identification.image_count, "session": session_path.name}
     rows = [_plain(decision) for decision in decisions]
     text = checksummed_text({"format": FORMAT, "version": VERSION, "name": name, **facts, "decisions": rows})
     if len(text) > MAX_YAML_SIZE:

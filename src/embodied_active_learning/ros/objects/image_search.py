@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import List
+from typing import Any, List
 
 import rospy
 
@@ -35,31 +35,34 @@ class ImageSearch:
         self._config = config
         self._root = session_root(config)
         self._outputs = IdentificationOutput()
-        self.images = Rate()
+        self.image_rate = Rate()
 
-    def open_run(
-        self, name: str, sessions: List[str], images: int, replay: str, overwrite: bool, progress: TaskProgress
-    ) -> IdentificationRun:
+    def open_run(self, request: Any, name: str, progress: TaskProgress) -> IdentificationRun:
         """Read the fingerprints and open the session with the images; wait for the first image of a running one.
+
+        Args:
+            request: Request of the service or goal of the action /identify.
+            name: Name of the results.
+            progress: Of the task.
 
         Raises:
             SessionError: If a session does not exist or has too few images, or if the name is in use.
         """
         progress.report("reading fingerprints")
-        sets = read_sets(self._root, sessions)
-        if replay:
-            path, wanted = find_session(self._root, replay, "replay"), images
+        sets = read_sets(self._root, request.sessions)
+        images, stored = request.images, bool(request.replay)
+        if stored:
+            path = find_session(self._root, request.replay, "replay")
         else:
-            path, wanted = self._running_session(images, progress), images or self._config.exploration.steps
-        return IdentificationRun(
-            path, sets, name, wanted, self._config.identification, overwrite, must_be_stored=bool(replay)
-        )
+            path, images = self._running_session(images, progress), images or self._config.exploration.steps
+        settings = self._config.identification
+        return IdentificationRun(path, sets, name, images, settings, request.overwrite, must_be_stored=stored)
 
     def search(self, run: IdentificationRun, progress: TaskProgress) -> List[Decision]:
         """Process images until they change no decision or all are processed; store and publish the decisions."""
         self._process_images(run, progress)
         progress.report("deciding")
-        rospy.loginfo("%d of at most %d images processed; deciding", run.processed, run.images)
+        rospy.loginfo("%d of at most %d images processed; deciding", run.processed, run.max_images)
         decisions = run.decide()
         progress.check()
         run.save(decisions)
@@ -101,13 +104,13 @@ class ImageSearch:
         while not run.complete:
             count = run.advance()
             if count:
-                self.images.tick(count)
+                self.image_rate.tick(count)
                 self._outputs.publish_open_places(run.identification.open_places)
             wall_sleep(0.0 if count else _POLL_PERIOD)
-            progress.report("searching", run.processed, run.images)
+            progress.report("searching", run.processed, run.max_images)
             if time.monotonic() >= log_at:
                 targets = len(run.identification.targets)
-                rospy.loginfo("searching for %d fingerprints: image %d of %d", targets, run.processed, run.images)
+                rospy.loginfo("searching for %d fingerprints: image %d of %d", targets, run.processed, run.max_images)
                 log_at = time.monotonic() + _LOG_PERIOD
             if time.monotonic() >= publish_at:
                 self._outputs.publish_beliefs(run.identification.targets, run.processed)
