@@ -125,7 +125,7 @@ def test_small_error_rate_needs_trials_of_the_fingerprint(trials, enough):
     made = replace(LEARNED, config=replace(LEARNED.config, fingerprint=FingerprintConfig(trials=trials)))
     problem = make_identification((made,), SETTINGS).targets[0].problem
     assert (problem == "") is enough
-    assert enough or "from 0.2 on, not 0.1: raise fingerprint/trials and call /fingerprint again" in problem
+    assert enough or "from 0.2 on, not 0.1: raise fingerprint/trials, then fingerprint the session again" in problem
 
 
 def test_decision_reports_evidence_and_reason():

@@ -375,7 +375,7 @@ def test_damaged_newest_set_has_no_fallback(session):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("version", 1, "version is 1, but this package reads version 2 only: .* or call /fingerprint again"),
+        ("version", 1, "version is 1, but this package reads version 2 only: .* or fingerprint the session again"),
         ("created", "yesterday", "invalid created 'yesterday'"),
         ("names", ["../x"], "one of names is '../x'"),
         ("names", ["object-1", "object-1"], "duplicate fingerprint name in object-1, object-1"),

@@ -204,7 +204,7 @@ def _table(name: str) -> Callable[[Path], Any]:
 _GENERATION = "fingerprints/000001"
 _FIRST = "identification/first"
 _TRAIN = "restore the file, or train again"
-_FINGERPRINT = "restore it, or call /fingerprint again"
+_FINGERPRINT = "restore it, or fingerprint the session again"
 _IDENTIFY = "identify again"
 _OTHER_SESSION = "choose another session"
 KINDS = (

@@ -11,8 +11,6 @@ from embodied_active_learning.franka.report import CONTROLLER, Condition
 _FIXED = {
     Condition.READY: "",
     Condition.NO_STATE: "no robot state received yet: is franka_control running, and its state controller?",
-    Condition.USER_STOPPED: "the user stop is pressed: release it, then call /arm/recover",
-    Condition.GUIDED: "the robot is guided by hand: let go of it, then call /arm/recover",
     Condition.RECOVERING: "the robot is recovering from a reflex",
     Condition.NO_CONTROLLER_MANAGER: "no response from controller_manager: is franka_control running?",
     Condition.NO_SUBSCRIBER: f"{CONTROLLER} does not subscribe to set-points: franka_ros 0.8 or newer is required",
@@ -49,7 +47,7 @@ def _why_other_controller(readiness: Readiness, _config: FrankaConfig) -> str:
     others = readiness.report.other_controllers
     return (
         f"another controller moves the robot: {', '.join(others)}; stop it (rosrun controller_manager "
-        f"controller_manager stop {others[0]}), then call /arm/recover"
+        f"controller_manager stop {others[0]}), then call {readiness.recovery_service}"
     )
 
 
@@ -70,7 +68,15 @@ def _why_outdated(readiness: Readiness, _config: FrankaConfig) -> str:
 _DETAILED: Dict[Condition, Callable[[Readiness, FrankaConfig], str]] = {
     Condition.STALE: _why_stale,
     Condition.UNUSABLE: lambda readiness, _: f"unusable robot state: {readiness.report.problem}",
-    Condition.RECOVERY_REQUIRED: lambda readiness, _: f"{readiness.held_for}: check the robot, then call /arm/recover",
+    Condition.USER_STOPPED: lambda readiness, _: (
+        f"the user stop is pressed: release it, then call {readiness.recovery_service}"
+    ),
+    Condition.GUIDED: lambda readiness, _: (
+        f"the robot is guided by hand: let go of it, then call {readiness.recovery_service}"
+    ),
+    Condition.RECOVERY_REQUIRED: lambda readiness, _: (
+        f"{readiness.held_for}: check the robot, then call {readiness.recovery_service}"
+    ),
     Condition.REFLEX: _why_reflex,
     Condition.OTHER_CONTROLLER: _why_other_controller,
     Condition.OTHER_PUBLISHER: _why_other_publisher,

@@ -50,6 +50,7 @@ class Readiness:
         self._recovered_at = -math.inf
         self._consecutive_recoveries = 0
         self.recoveries = 0
+        self.recovery_service = "/arm/recover"  # for messages; differs in a namespace
 
     @property
     def report(self) -> Report:
@@ -180,7 +181,9 @@ class Readiness:
             if self._is_stale(report):
                 self.set_unprepared("franka_control does not respond: the robot is prepared again", retry=True)
         elif report.other_controllers or not report.is_controlled:
-            self.set_unprepared(f"{CONTROLLER} was stopped by another node: call /arm/recover to start it again")
+            self.set_unprepared(
+                f"{CONTROLLER} was stopped by another node: call {self.recovery_service} to start it again"
+            )
 
     def _is_stale(self, report: Report) -> bool:
         max_age = self._config.state_max_age

@@ -29,7 +29,7 @@ class Condition(enum.Enum):
     UNUSABLE = "unusable states"
     USER_STOPPED = "user stop"
     GUIDED = "guided by hand"
-    RECOVERY_REQUIRED = "held until /arm/recover"
+    RECOVERY_REQUIRED = "held until recovery"
     RECOVERING = "recovering"
     REFLEX = "reflex"
     NO_CONTROLLER_MANAGER = "no controller_manager"

@@ -173,7 +173,10 @@ class Appearance:
                 "no object distinct from the table in its views: train longer, or learn it on a table of another colour"
             )
         if self.usable.sum() < _MIN_VIEWS:
-            return f"only {self.usable.sum()} views show all of it: raise fingerprint/views and call /fingerprint again"
+            return (
+                f"only {self.usable.sum()} views show all of it: raise fingerprint/views, then fingerprint the session "
+                "again"
+            )
         sizes = self.masks.sum(axis=(1, 2))
         if float(np.median(clutter[self.usable] / sizes[self.usable])) > _CLUTTER:
             return (

@@ -65,8 +65,8 @@ class Identification:
         missing = [target.label for target in self.targets if target.needs_calibration]
         if self.by_views and missing:
             LOG.warning(
-                "no stored limits for %s: computing them takes about a second each; call /fingerprint again to store "
-                "them",
+                "no stored limits for %s: computing them takes about a second each; fingerprint the session again to "
+                "store them",
                 ", ".join(missing),
             )
 
@@ -171,7 +171,7 @@ def _load_model(fingerprint_set: FingerprintSet) -> TrainedModel:
     except RuntimeError as error:
         raise CorruptFileError(
             f"the model of session {fingerprint_set.session}'s fingerprints does not match the session's camera and "
-            f"model settings ({' '.join(str(error).split())}): call /fingerprint again"
+            f"model settings ({' '.join(str(error).split())}): fingerprint the session again"
         ) from error
 
 

@@ -106,8 +106,8 @@ def _threshold(own: Sequence[np.ndarray]) -> Tuple[float, float]:
         )
     if not distances.size:
         raise ObservationError(
-            "no distance threshold: the only fingerprint has a single view; raise fingerprint/views and call "
-            "/fingerprint again"
+            "no distance threshold: the only fingerprint has a single view; raise fingerprint/views, then "
+            "fingerprint the session again"
         )
     return float(max(distances.min(), 1e-9)), float(distances.max())
 

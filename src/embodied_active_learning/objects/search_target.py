@@ -66,7 +66,7 @@ class SearchTarget:
             return ""
         return (
             f"its limits hold for error rates from {smallest:.3g} on, not {self._error_rate:g}: raise "
-            "fingerprint/trials and call /fingerprint again"
+            "fingerprint/trials, then fingerprint the session again"
         )
 
     @property

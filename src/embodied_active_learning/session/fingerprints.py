@@ -52,7 +52,7 @@ CALIBRATION_FILE = "calibration.safetensors"
 
 _KIND, _CALIBRATION_KIND, _MODEL_KIND = "fingerprint", "calibration", "fingerprint_model"
 _SIMILARITIES = ("true", "false")
-_READER = FileReader(CorruptFileError, "restore it, or call /fingerprint again")
+_READER = FileReader(CorruptFileError, "restore it, or fingerprint the session again")
 _MODEL_READER = replace(_READER, limit=ARRAY_READER.limit)
 _FINGERPRINT_READER = replace(_READER, limit=2**30)
 

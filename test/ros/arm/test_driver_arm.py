@@ -175,6 +175,14 @@ def test_shutdown_after_failed_loop_leaves_robot_at_rest(make):
         arm.spin()
 
 
+def test_rejection_names_recovery_service_in_namespace(make, monkeypatch):
+    monkeypatch.setattr(rospy, "resolve_name", lambda name: f"/lab/{name}")
+    driver = SetPointDriver(CONFIG)
+    Arm(CONFIG, driver)
+    driver.update_state(1.0, 0.0, (0.0,) * 16, RobotMode.USER_STOPPED, (), ())
+    assert driver.why_not_ready() == "the user stop is pressed: release it, then call /lab/arm/recover"
+
+
 def test_hold_survives_restart_of_node(make, monkeypatch):
     """After a user stop, a person is needed also if the node is restarted meanwhile."""
     stored = {}

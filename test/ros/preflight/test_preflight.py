@@ -11,7 +11,7 @@ from sensor_msgs.msg import CameraInfo
 
 from embodied_active_learning.config import Config
 from embodied_active_learning.errors import ObservationError
-from embodied_active_learning.franka.report import CONTROLLER, Controller
+from embodied_active_learning.franka.report import CONTROLLER, Controller, RobotMode
 from embodied_active_learning.geometry import fixed_axes_rotation, intrinsics, optical_rotation
 from embodied_active_learning.ros.conversions import camera_info_message
 from embodied_active_learning.ros.preflight import computer, images, network, reach, robot
@@ -399,6 +399,16 @@ def test_persistent_parameters_have_remedies():
     assert "/arm/recover" in results[1].remedy
     held = computer.check_persistent_parameters({"/arm/held_for": "the user stop was pressed"})
     assert "/arm/recover" in held[0].remedy
+
+
+def test_remedies_name_services_in_namespace(monkeypatch):
+    monkeypatch.setattr(rospy, "resolve_name", lambda name: f"/lab/{name}")
+    values = {"/lab/arm/held_for": "the user stop was pressed", "/lab/ergodic_planner/paused_by": "/operator"}
+    held, paused = computer.check_persistent_parameters(values)
+    assert held.remedy == "check the robot, then rosservice call /lab/arm/recover"
+    assert paused.remedy == "rosservice call /lab/planner/resume"
+    state = robot.check_robot_state(RobotMode.USER_STOPPED, [], 1.0)[0]
+    assert state.remedy == "release the user stop, then rosservice call /lab/arm/recover"
 
 
 def test_missing_services_are_named():

@@ -47,6 +47,7 @@ class DriverArm(ArmServer):
         super().__init__(config)
         self._driver = driver
         with driver.readiness() as readiness:
+            readiness.recovery_service = rospy.resolve_name(names.ARM_RECOVER)
             readiness.hold(persistent_parameters.load(names.HELD_FOR))
         persistent_parameters.store(names.HELD_FOR, self._held_for)
         self._config_check = ConfigCheck(config)

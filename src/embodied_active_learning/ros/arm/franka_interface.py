@@ -143,7 +143,7 @@ class FrankaInterface:
             if abs(adopted.get(name, math.inf) - value) > _STIFFNESS_TOLERANCE:
                 raise RobotError(
                     f"{CONTROLLER} did not adopt {name} {value:g}: it uses {adopted.get(name)}; choose a value within "
-                    "the controller's range, then call /arm/recover"
+                    f"the controller's range, then call {rospy.resolve_name(names.ARM_RECOVER)}"
                 )
 
     def recover(self) -> None:
@@ -219,5 +219,5 @@ def _require(name: str, response: Any) -> None:
     if not response.success:
         raise RobotError(
             f"{rospy.resolve_name(name)} rejected: {response.error or 'no reason given'}; check the values of franka/ "
-            "and that no controller moves the robot, then call /arm/recover"
+            f"and that no controller moves the robot, then call {rospy.resolve_name(names.ARM_RECOVER)}"
         )

@@ -12,6 +12,7 @@ from embodied_active_learning.config import FrankaConfig
 from embodied_active_learning.errors import ArmNotReadyError, RobotError
 from embodied_active_learning.franka.report import CONTROLLER, Condition
 from embodied_active_learning.franka.set_point_driver import SetPointDriver
+from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.franka_interface import FrankaInterface
 from embodied_active_learning.ros.arm.requested_recovery import requested_recovery
 from embodied_active_learning.ros.runtime.timers import WallTimer
@@ -127,7 +128,7 @@ class FrankaSupervisor:
                 errors = readiness.report.error_names
             raise RobotError(
                 f"the robot still reports {errors} after the recovery: press and release the user stop, or lock and "
-                "unlock the joints in Desk, then call /arm/recover"
+                f"unlock the joints in Desk, then call {rospy.resolve_name(names.ARM_RECOVER)}"
             )
         return True
 
@@ -138,7 +139,8 @@ class FrankaSupervisor:
             others = readiness.report.others
         if others:
             raise RobotError(
-                f"{', '.join(others)} may move the robot: stop that controller or node, then call /arm/recover"
+                f"{', '.join(others)} may move the robot: stop that controller or node, then call "
+                f"{rospy.resolve_name(names.ARM_RECOVER)}"
             )
 
     def _recover_on_request(self) -> None:
@@ -195,7 +197,8 @@ class FrankaSupervisor:
         with log_wait(lambda: "the arm to come to rest before its controller is restarted"):
             if not _wait_until(self._driver.is_at_rest):
                 raise RobotError(
-                    f"{CONTROLLER} moves the arm on behalf of another node: stop that node, then call /arm/recover"
+                    f"{CONTROLLER} moves the arm on behalf of another node: stop that node, then call "
+                    f"{rospy.resolve_name(names.ARM_RECOVER)}"
                 )
 
     def _wait_for_end_of_motion(self) -> None:
@@ -203,7 +206,7 @@ class FrankaSupervisor:
         if not _wait_until(lambda: not self._is_in_motion()):
             raise RobotError(
                 "the robot is still in mode Move although no controller moves it: check franka_control, then call "
-                "/arm/recover"
+                f"{rospy.resolve_name(names.ARM_RECOVER)}"
             )
 
     def _is_in_motion(self) -> bool:

@@ -6,8 +6,11 @@ import threading
 from contextlib import contextmanager
 from typing import Iterator
 
+import rospy
+
 from embodied_active_learning.errors import ArmNotReadyError
 from embodied_active_learning.franka.set_point_driver import SetPointDriver
+from embodied_active_learning.ros import names
 
 LOCK_TIMEOUT = 5.0
 """Wall seconds that a preparation or recovery in progress may take to end."""
@@ -25,7 +28,7 @@ def requested_recovery(driver: SetPointDriver, lock: threading.Lock) -> Iterator
         why = driver.why_not_ready()
         raise ArmNotReadyError(
             f"the robot is being prepared or recovered, or does not respond{f' ({why})' if why else ''}: call "
-            "/arm/recover again later"
+            f"{rospy.resolve_name(names.ARM_RECOVER)} again later"
         )
     try:
         yield

@@ -54,7 +54,8 @@ class VelocityInterface:
         if rate * step < MIN_REQUESTS:
             raise RobotError(
                 f"franka/rate {rate:g} Hz gives fewer than {MIN_REQUESTS:g} requests per step of the controller "
-                f"({rospy.resolve_name(names.VELOCITY_STEP)} {step:g} s): raise franka/rate, then call /arm/recover"
+                f"({rospy.resolve_name(names.VELOCITY_STEP)} {step:g} s): raise franka/rate, then call "
+                f"{rospy.resolve_name(names.ARM_RECOVER)}"
             )
         if math.isfinite(step):
             self._command.timeout = max(_MIN_SEND_TIMEOUT, _SEND_STEPS * step)
@@ -63,7 +64,7 @@ class VelocityInterface:
             if time.monotonic() >= deadline:
                 raise RobotError(
                     f"{rospy.resolve_name(names.VELOCITY_START)} reports that the robot does not follow: release the "
-                    "user stop or clear its reflex, then call /arm/recover"
+                    f"user stop or clear its reflex, then call {rospy.resolve_name(names.ARM_RECOVER)}"
                 )
             time.sleep(_START_PERIOD)
         with _remedy():  # it may hang although the start was accepted
@@ -112,4 +113,6 @@ def _controller_step() -> float:
     try:
         return float(value)
     except (TypeError, ValueError) as error:
-        raise RobotError(f"parameter {name} is {value!r}, not seconds: correct it, then call /arm/recover") from error
+        raise RobotError(
+            f"parameter {name} is {value!r}, not seconds: correct it, then call {rospy.resolve_name(names.ARM_RECOVER)}"
+        ) from error

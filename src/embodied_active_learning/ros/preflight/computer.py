@@ -5,18 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import List, Mapping, Sequence
 
+import rospy
+
 from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import SessionError
+from embodied_active_learning.ros import names
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.session.disk import check_space, estimate_bytes, free_bytes
-
-_REMEDIES = {
-    "failure": "launch again; a launch clears it",
-    "stopped_by": "rosservice call /arm/recover, once the cause is known",
-    "held_for": "check the robot, then rosservice call /arm/recover",
-    "paused_by": "rosservice call /planner/resume",
-    "has_paused_planner": "restart the fingerprinter, which resumes the planner, or rosservice call /planner/resume",
-}
 
 
 def check_packages(required: Mapping[str, str], missing: Sequence[str]) -> CheckResult:
@@ -80,12 +75,13 @@ def check_interpreter(prefix: str, path_prefix: str) -> CheckResult:
 def check_clock(use_sim_time: bool, clock_published: bool, robot: str) -> CheckResult:
     """Check that the clock is simulated if and only if the robot is."""
     reason = "time stamps of a simulated and of a real clock never match, so the arm does not move"
+    clock = rospy.resolve_name("clock")
     if robot == SIMULATED:
         if not use_sim_time:
             return error("clock", "/use_sim_time is false", reason, "launch again; pybullet_arm.launch sets it")
         if not clock_published:
-            return error("clock", "/clock has no publisher", reason, "start the simulated arm")
-        return ok("clock", "simulated; /clock is published")
+            return error("clock", f"{clock} has no publisher", reason, "start the simulated arm")
+        return ok("clock", f"simulated; {clock} is published")
     if use_sim_time:
         return error(
             "clock",
@@ -94,7 +90,8 @@ def check_clock(use_sim_time: bool, clock_published: bool, robot: str) -> CheckR
             "rosparam set /use_sim_time false, then restart all nodes",
         )
     if clock_published:
-        return warning("clock", "/clock has a publisher", reason, "end the simulation or rosbag play that publishes it")
+        remedy = "end the simulation or rosbag play that publishes it"
+        return warning("clock", f"{clock} has a publisher", reason, remedy)
     return ok("clock", "system time")
 
 
@@ -108,10 +105,23 @@ def check_persistent_parameters(values: Mapping[str, object]) -> List[CheckResul
             "persistent parameters",
             f"{name} is {value!r}",
             "a run does not start or does not move while it is set",
-            _REMEDIES.get(name.rsplit("/", 1)[-1], f"rosparam delete {name}"),
+            _parameter_remedy(name),
         )
         for name, value in stale.items()
     ]
+
+
+def _parameter_remedy(name: str) -> str:
+    recover = f"rosservice call {rospy.resolve_name(names.ARM_RECOVER)}"
+    resume = f"rosservice call {rospy.resolve_name(names.PLANNER_RESUME)}"
+    remedies = {
+        "failure": "launch again; a launch clears it",
+        "stopped_by": f"{recover}, once the cause is known",
+        "held_for": f"check the robot, then {recover}",
+        "paused_by": resume,
+        "has_paused_planner": f"restart the fingerprinter, which resumes the planner, or {resume}",
+    }
+    return remedies.get(name.rsplit("/", 1)[-1], f"rosparam delete {name}")
 
 
 def check_advertised(

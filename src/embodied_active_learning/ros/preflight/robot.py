@@ -6,12 +6,14 @@ import math
 from typing import Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
+import rospy
 
 from embodied_active_learning.config import REAL_ROBOTS, Config
 from embodied_active_learning.errors import ArmNotReadyError
 from embodied_active_learning.franka.mount import CameraMount, CameraPose
 from embodied_active_learning.franka.report import CONTROLLER, Controller, Report, RobotMode
 from embodied_active_learning.franka.start_check import distances_outside, require_startable
+from embodied_active_learning.ros import names
 from embodied_active_learning.ros.camera.v4l2 import set_command
 from embodied_active_learning.ros.preflight.check_result import CheckResult, error, ok, warning
 from embodied_active_learning.workspace import STATE_NAMES
@@ -26,9 +28,9 @@ LOAD_TOLERANCE = 0.01
 _READY_MODES = (RobotMode.IDLE, RobotMode.MOVE)
 _BORDER_TOLERANCE = 1e-3  # m, rad: an arm that rests at the border counts as inside
 _MODE_REMEDIES: Dict[int, str] = {
-    RobotMode.USER_STOPPED: "release the user stop, then rosservice call /arm/recover",
-    RobotMode.REFLEX: "remove what the arm has touched, then rosservice call /arm/recover",
-    RobotMode.GUIDING: "release the guiding buttons of the hand, then rosservice call /arm/recover",
+    RobotMode.USER_STOPPED: "release the user stop, then ",
+    RobotMode.REFLEX: "remove what the arm has touched, then ",
+    RobotMode.GUIDING: "release the guiding buttons of the hand, then ",
 }
 
 
@@ -36,7 +38,7 @@ def check_robot_state(mode: int, errors: Sequence[str], success_rate: float) -> 
     """Check robot_mode, current_errors (names) and control_command_success_rate of franka_states."""
     mode_name = Report(mode=mode).mode_name
     if errors or mode not in _READY_MODES:
-        remedy = _MODE_REMEDIES.get(mode, "rosservice call /arm/recover; see Desk")
+        remedy = f"{_MODE_REMEDIES.get(mode, 'see Desk; ')}rosservice call {rospy.resolve_name(names.ARM_RECOVER)}"
         message = f"{mode_name}, errors: {', '.join(errors) or 'none'}"
         results = [error("robot mode", message, "the robot accepts no motion in this state", remedy)]
     else:
@@ -77,7 +79,8 @@ def check_controllers(controllers: Mapping[str, Controller], publishers: Sequenc
         )
     state = controllers[CONTROLLER].state if CONTROLLER in controllers else "not loaded"
     if state != "running" and not others:
-        remedy = "see the log of franka_arm, which loads and starts it; rosservice call /arm/recover"
+        recover = rospy.resolve_name(names.ARM_RECOVER)
+        remedy = f"see the log of franka_arm, which loads and starts it; rosservice call {recover}"
         results.append(error(name, f"{CONTROLLER} is {state}", reason, remedy))
     if len(publishers) > 1:
         results.append(
@@ -100,7 +103,8 @@ def check_load(load_mass: float, config: Config) -> CheckResult:
             name,
             f"{message}, franka/load_mass is {wanted:g} kg",
             "with a wrong load the arm sags or rises, and collisions are detected too early or too late",
-            "rosservice call /arm/recover sets it when the robot is prepared; or set franka/load_mass",
+            f"rosservice call {rospy.resolve_name(names.ARM_RECOVER)} sets it when the robot is prepared; or set "
+            "franka/load_mass",
         )
     return ok(name, message)
 

@@ -115,14 +115,17 @@ def show_library_log() -> None:
 
 def wait_for_clock() -> None:
     """With /use_sim_time, return once /clock has a publisher. Raises ShutdownRequestedError."""
-    wait_until(_has_clock, lambda: "/clock: /use_sim_time is true, but no node publishes it")
+    wait_until(_has_clock, lambda: f"{_clock_topic()}: /use_sim_time is true, but no node publishes it")
 
 
 def _has_clock() -> bool:
     if rospy.rostime.is_wallclock() or not rospy.get_rostime().is_zero():
         return True
-    topic = rospy.resolve_name("/clock")
-    return any(name == topic for name, _ in rospy.get_published_topics())
+    return any(name == _clock_topic() for name, _ in rospy.get_published_topics())
+
+
+def _clock_topic() -> str:
+    return rospy.resolve_name("/clock")  # remapped in a namespace
 
 
 def read_config(of_arm: bool = False) -> Config:
