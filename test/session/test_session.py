@@ -70,7 +70,7 @@ def test_existing_session_is_not_overwritten(tmp_path):
     create(tmp_path)
     before = files_below(tmp_path)
     for attempt in (check_session, Session.open_for_writing):
-        with pytest.raises(SessionError, match=r"exists: choose another session/name \(session:=\), or continue"):
+        with pytest.raises(SessionError, match=r"exists: choose another session/name .* \(learn\.launch or"):
             attempt(make_config(tmp_path))
     assert files_below(tmp_path) == before
 

@@ -203,7 +203,7 @@ def _check_existing(path: Path, config: Config) -> None:
     if not config.session.resume:
         raise SessionError(
             f"session {path} exists: choose another session/name (session:=), or continue it with session/resume "
-            "(resume:=true)"
+            "(learn.launch or replay.launch resume:=true)"
         )
     if stored.arm.robot == RECORDED != config.arm.robot:
         raise SessionError(
