@@ -13,6 +13,7 @@ from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader, XmlParseException
 
 from embodied_active_learning.config import REAL_ROBOTS, SIMULATED
+from embodied_active_learning.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH = sorted((ROOT / "launch").glob("*.launch"))
@@ -219,6 +220,29 @@ def test_identifier_takes_unset_arguments_as_empty(monkeypatch):
     monkeypatch.setattr(rospy, "get_param", {"~name": "0815", "~replay": "unset"}.get)
     text_parameter = runpy.run_path(str(ROOT / "nodes" / "identifier"))["text_parameter"]
     assert [text_parameter(name) for name in ("name", "replay", "sessions")] == ["0815", "", ""]
+
+
+@pytest.mark.parametrize("value", [100, 100.0])
+def test_identifier_takes_whole_number_of_images(monkeypatch, value):
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: value)
+    images = runpy.run_path(str(ROOT / "nodes" / "identifier"))["_images"]()
+    assert (images, type(images)) == (100, int)
+
+
+@pytest.mark.parametrize("value", [1.5, float("inf"), "auto"])
+def test_identifier_rejects_malformed_number_of_images(monkeypatch, value):
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: value)
+    with pytest.raises(ConfigError, match=r"images is .*: expected a whole number"):
+        runpy.run_path(str(ROOT / "nodes" / "identifier"))["_images"]()
+
+
+@pytest.mark.parametrize("images", ["0", "10"])
+def test_invalid_number_of_images_names_launch_argument(commands_in_process, tmp_path, capfd, images):
+    with pytest.raises(XmlParseException):
+        load("identify", "once:=false", f"images:={images}", f"session_root:={tmp_path}")
+    message = capfd.readouterr().err
+    assert f"exploration/steps is {images}" in message
+    assert "images:= sets exploration/steps" in message
 
 
 @pytest.mark.parametrize("bringup", ["all", "nodes"])

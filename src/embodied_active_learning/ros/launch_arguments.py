@@ -52,10 +52,17 @@ def require_arguments(values: Mapping[str, str]) -> None:
             raise ConfigError(f"{name} is missing: give {name}:={_PLACEHOLDERS.get(name, 'VALUE')}")
 
 
-def print_failure(error: Exception) -> None:
-    """Print why a launch file starts nothing: in red on a terminal, because roslaunch prints much after it."""
+def print_failure(error: Exception, aliases: Sequence[str] = ()) -> None:
+    """Print why a launch file starts nothing: in red on a terminal, because roslaunch prints much after it.
+
+    Args:
+        error: The reason.
+        aliases: Texts SECTION/KEY=NAME: launch arguments to name with their settings, which are named differently.
+    """
+    pairs = [text.partition("=") for text in aliases]
+    message = "; ".join([str(error), *(f"{name}:= sets {key}" for key, _, name in pairs if key in str(error))])
     red, end = ("\033[31m", "\033[0m") if sys.stderr.isatty() else ("", "")
-    print(f"\n{red}nothing was started: {error}{end}\n", file=sys.stderr)  # noqa: T201 - for the launch file's reader
+    print(f"\n{red}nothing was started: {message}{end}\n", file=sys.stderr)  # noqa: T201 - for the launch file's reader
 
 
 def check_robot(changes: Mapping[str, Dict[str, Any]]) -> None:
