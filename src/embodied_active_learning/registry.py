@@ -63,9 +63,11 @@ class Registry:
             return entry
         module, _, attribute = entry.partition(":")
         try:
-            implementation: Callable[..., Any] = getattr(import_module(module), attribute)
+            imported = import_module(module)
         except ImportError as error:
             raise ConfigError(f"{self.kind} {name!r} cannot be imported: {error}; check PYTHONPATH") from error
+        try:
+            implementation: Callable[..., Any] = getattr(imported, attribute)
         except AttributeError as error:
             raise ConfigError(f"{self.kind} {name!r} cannot be imported: {error}; correct its name") from error
         return implementation

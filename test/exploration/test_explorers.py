@@ -86,6 +86,14 @@ def test_explorer_that_cannot_be_imported_is_refused(name, remedy):
         EXPLORERS[name]
 
 
+def test_mistake_in_module_of_explorer_keeps_its_traceback(tmp_path, monkeypatch):
+    (tmp_path / "test_failing_module.py").write_text("import math\nmath.squareroot\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(AttributeError) as raised:
+        EXPLORERS["test_failing_module:Explorer"]
+    assert "test_failing_module.py:2" in str(raised.getrepr(style="short"))
+
+
 @pytest.mark.parametrize("name", ["os.system", "module:a b", ":Explorer", "module:", "a:b:c", "../module:Explorer"])
 def test_malformed_reference_to_an_explorer_is_refused(name):
     with pytest.raises(ConfigError, match="explorer"):

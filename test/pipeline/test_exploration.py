@@ -68,6 +68,24 @@ def test_incomplete_explorer_is_named(explorer, problem):
         EXPLORERS.unregister("test_incomplete")
 
 
+class FailingExplorer(RandomWalkExplorer):
+    """Its constructor has a mistake."""
+
+    def __init__(self, config, seed):
+        super().__init__(config, seed)
+        self.grid = np.linspace(0.0, 1.0, "10")
+
+
+def test_mistake_in_constructor_keeps_its_traceback():
+    EXPLORERS.register("test_failing")(FailingExplorer)
+    try:
+        with pytest.raises(TypeError) as raised:
+            ExplorationRun(configured("test_failing"))
+    finally:
+        EXPLORERS.unregister("test_failing")
+    assert "np.linspace" in str(raised.getrepr())
+
+
 def test_command_of_another_type_is_an_error():
     run = ExplorationRun(configured("uniform"))
     run.observe(np.array([0.4, 0.0, 0.0]), np.zeros(3))

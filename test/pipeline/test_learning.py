@@ -51,6 +51,13 @@ def test_run_ends_with_model_and_summary(learned):
         np.testing.assert_array_equal(session.read_table("exploration")["x"], store.raw_states[:, 0])
 
 
+@pytest.mark.parametrize("setting", ["explorer", "measure"])
+def test_unusable_explorer_or_measure_creates_no_session(tmp_path, setting):
+    with pytest.raises(ConfigError, match="check PYTHONPATH"):
+        learn(tiny(tmp_path, **{setting: "no_such_module:Thing"}))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_progress_is_reported_after_each_step(learned):
     _, reports = learned
     assert [report.step for report in reports[:STEPS]] == list(range(1, STEPS + 1))

@@ -260,6 +260,8 @@ def _make_explorer(config: Config, seed: int) -> Explorer:
         explorer: Explorer = EXPLORERS[name](config, seed)
         planned = np.shape(explorer.planned_states)
     except (AttributeError, TypeError) as error:
+        if error.__traceback__ is not None and error.__traceback__.tb_next is not None:
+            raise  # by code of the explorer: the traceback shows where
         raise EmbodiedActiveLearningError(f"explorer {name} cannot be used: {error}") from error
     if len(planned) != 2:
         raise EmbodiedActiveLearningError(

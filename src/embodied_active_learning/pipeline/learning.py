@@ -63,6 +63,7 @@ def learn(config: Config, on_progress: Optional[ProgressCallback] = None) -> Ses
     """
     if config.arm.robot != SIMULATED:
         raise ConfigError(f"arm/robot is {config.arm.robot}: only the simulation can be explored without ROS")
+    ExplorationRun(config)  # an explorer or measure that cannot be used must not leave a session without steps
     started_at = time.monotonic()
     world = load_world(config.simulation.world, config.workspace.box())
     with Simulation(world, config) as simulation:
@@ -82,7 +83,7 @@ def _summary(folder: Path, started_at: float) -> Iterator[None]:
         try:
             _conclude(folder, started_at, finished=False)
         except Exception as error:  # it must not hide what ended the run
-            LOG.warning("summary of the interrupted run not written: %s", error)
+            LOG.warning("summary of the unfinished run not written: %s", error)
         raise
     _conclude(folder, started_at, finished=True)
 
