@@ -6,7 +6,7 @@ import rospy
 
 from embodied_active_learning.errors import RunFailedError
 from embodied_active_learning.ros import names
-from embodied_active_learning.ros.runtime.master import CALL_ERRORS
+from embodied_active_learning.ros.runtime.master import CALL_ERRORS, master_proxy
 from embodied_active_learning.ros.runtime.timers import WallTimer
 
 _PERIOD = 1.0
@@ -35,10 +35,16 @@ class FailureWatch:
         if self._reason:
             raise RunFailedError(self._reason)
 
-    def _check_parameter(self) -> None:
+    def read_reason(self) -> str:
+        """Return the failure that was reported, also since the last timer; empty if none was."""
         try:
-            self._reason = str(rospy.get_param(rospy.resolve_name(names.FAILURE_PARAMETER), ""))
+            code, _, value = master_proxy().getParam(rospy.get_name(), rospy.resolve_name(names.FAILURE_PARAMETER))
         except CALL_ERRORS:
-            return  # the master cannot be reached at the moment
-        if self._reason:
+            return self._reason  # the master cannot be reached at the moment
+        if code == 1:
+            self._reason = str(value)
+        return self._reason
+
+    def _check_parameter(self) -> None:
+        if self.read_reason():
             rospy.signal_shutdown(self._reason)
