@@ -112,14 +112,14 @@ def test_waiting_command_is_rejected_after_stop():
     clock = Clock()
     arbiter = commanded(clock)
     clock.now = 5.1
-    moved, refused = [], []
+    moved, rejected = [], []
 
     def command():
         try:
             with arbiter.command(request("/ergodic_planner")):
                 moved.append(True)
         except ArmStoppedError as error:
-            refused.append(error)
+            rejected.append(error)
 
     def stop():
         with arbiter.stop(request("/operator")):
@@ -132,7 +132,7 @@ def test_waiting_command_is_rejected_after_stop():
         wait_for(lambda: arbiter.stopped_by == "/operator")
     for thread in threads:
         thread.join(10.0)
-    assert (len(moved), len(refused)) == (0, 1)
+    assert (len(moved), len(rejected)) == (0, 1)
 
 
 def test_stop_during_recovery_stays_in_force():

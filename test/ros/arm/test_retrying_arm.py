@@ -186,11 +186,11 @@ def simulated(monkeypatch, camera):
 
 
 def test_rejected_command_becomes_hold_until_accepted(arm, retrying):
-    arm.failures = [CommandError("refused"), CommandError("refused again")]
+    arm.failures = [CommandError("rejected"), CommandError("rejected again")]
     assert retrying.execute(FORWARD) is REACHED
     assert arm.calls == [("move", 0.1, 0.0, 0.0), ("move", 0.0, 0.0, 0.0), ("move", 0.0, 0.0, 0.0)]
     assert retrying.was_held
-    assert problem(retrying).startswith("arm held still: refused again (attempt 2 of 6, next in ")
+    assert problem(retrying).startswith("arm held still: rejected again (attempt 2 of 6, next in ")
     retrying.observe(REACHED)
     assert problem(retrying) == ""
     retrying.execute(FORWARD)
@@ -198,7 +198,7 @@ def test_rejected_command_becomes_hold_until_accepted(arm, retrying):
 
 
 def test_go_to_retries_rejected_pose(arm, retrying):
-    arm.failures = [CommandError("refused")]
+    arm.failures = [CommandError("rejected")]
     retrying.go_to((0.4, 0.1, 1.0))
     assert arm.calls == 2 * [("go_to", 0.4, 0.1, 1.0)]
     assert problem(retrying) == ""
@@ -215,10 +215,10 @@ def test_observe_holds_still_until_image(arm, camera, retrying):
 @pytest.mark.parametrize("act", [lambda arm: arm.execute(FORWARD), lambda arm: arm.go_to((0.4, 0.1, 1.0))])
 def test_timeout_raises_last_rejection(arm, camera, act):
     retrying = retrying_arm.RetryingArm(Config(), timeout=0.2)
-    arm.failures = [ArmBusyError(f"refusal {count}") for count in range(10**4)]
-    with pytest.raises(ArmBusyError, match="refusal") as refusal:
+    arm.failures = [ArmBusyError(f"rejection {count}") for count in range(10**4)]
+    with pytest.raises(ArmBusyError, match="rejection") as rejection:
         act(retrying)
-    assert str(refusal.value) == f"refusal {len(arm.calls) - 1}"
+    assert str(rejection.value) == f"rejection {len(arm.calls) - 1}"
     assert len(arm.calls) > 1
     assert problem(retrying) == "", "nothing is retried any more"
 
@@ -234,8 +234,8 @@ def test_timeout_raises_missing_image(arm, camera):
 def test_observe_timeout_includes_rejected_commands(arm, camera, clock):
     retrying = retrying_arm.RetryingArm(Config(), timeout=0.2)
     camera.failures = [ObservationError("no image")]
-    arm.failures = [ArmStoppedError("refused") for _ in range(10**4)]
-    with pytest.raises(CommandError, match="refused"):
+    arm.failures = [ArmStoppedError("rejected") for _ in range(10**4)]
+    with pytest.raises(CommandError, match="rejected"):
         retrying.observe(REACHED)
     assert clock.now == pytest.approx(0.2)
 
@@ -255,7 +255,7 @@ def test_failing_arm_is_given_up_and_stopped(arm, retrying, act, error_class):
 
 def test_successful_hold_does_not_reset_failure_count(arm, retrying):
     def step():
-        arm.failures = [CommandError("refused")]
+        arm.failures = [CommandError("rejected")]
         retrying.execute(FORWARD)
 
     for _ in range(5):

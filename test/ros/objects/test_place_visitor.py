@@ -89,7 +89,7 @@ def test_every_place_is_visited_and_published(arm, pictures, log):
     assert log[0].startswith("visited unknown-1 at x 0.400 m, y 0.000 m; camera at x 0.400 m, y 0.010 m")
 
 
-@pytest.mark.parametrize("error", [ArmFailedError("reflex"), CommandError("refused"), ObservationError("no image")])
+@pytest.mark.parametrize("error", [ArmFailedError("reflex"), CommandError("rejected"), ObservationError("no image")])
 def test_place_that_is_not_reached_is_skipped(arm, pictures, log, error):
     arm.failures = [None, error]
     assert visit() == ["unknown-1", "unknown-3"]
