@@ -26,9 +26,9 @@ from embodied_active_learning.ros import names
 from embodied_active_learning.ros.arm.config_check import require_matching_config
 from embodied_active_learning.ros.preflight import computer
 from embodied_active_learning.ros.preflight.check_result import CheckResult, Level, error, most_severe, ok, summary
-from embodied_active_learning.ros.preflight.ros_graph import read_graph
 from embodied_active_learning.ros.preflight.system import System
 from embodied_active_learning.ros.runtime.master import connection_error
+from embodied_active_learning.ros.runtime.node import arm_config_values
 from embodied_active_learning.session.session import session_root
 from embodied_active_learning.simulation.resources import PACKAGE, package_folder
 
@@ -108,8 +108,8 @@ def find_config(robot_profile: str, has_master: bool) -> Tuple[Config, List[Chec
     Raises ConfigError.
     """
     name, arm_name = _resolve(names.CONFIG_PARAMETER), _resolve(names.ARM_CONFIG_PARAMETER)
-    values, arm_values = (rospy.get_param(parameter, None) if has_master else None for parameter in (name, arm_name))
-    if arm_values is not None and _resolve("franka_arm") in read_graph().nodes:
+    values, arm_values = (rospy.get_param(name, None), arm_config_values()) if has_master else (None, None)
+    if arm_values is not None:
         config = Config.from_dict(arm_values)
         result = ok("configuration", f"parameter {arm_name}, arm/robot {config.arm.robot}")
         return config, [result] if values is None else [result, check_match(config, values)]

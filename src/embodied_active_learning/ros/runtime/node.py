@@ -138,17 +138,18 @@ def read_config(of_arm: bool = False) -> Config:
         ConfigError: no configuration on the parameter server, or an invalid one.
     """
     name = rospy.resolve_name(names.CONFIG_PARAMETER)
-    is_arm_running = of_arm and _is_running(rospy.resolve_name("franka_arm"))
-    own = rospy.resolve_name(names.ARM_CONFIG_PARAMETER) if is_arm_running else f"~{names.CONFIG_PARAMETER}"
-    values = rospy.get_param(own, None) or rospy.get_param(name, None)
+    arm = arm_config_values() if of_arm else None
+    values = arm or rospy.get_param(f"~{names.CONFIG_PARAMETER}", None) or rospy.get_param(name, None)
     if values is None:
         raise ConfigError(f"parameter {name} is not set: start the node with a launch file of the package")
     return Config.from_dict(values)
 
 
-def _is_running(node: str) -> bool:
-    code, _, uri = rospy.get_master().lookupNode(node)
-    return bool(code == 1 and not connection_error(uri))
+def arm_config_values() -> Any:
+    """Return the configuration of a real arm that robot.launch has started, while the arm runs; None otherwise."""
+    code, _, uri = rospy.get_master().lookupNode(rospy.resolve_name("franka_arm"))
+    is_running = code == 1 and not connection_error(uri)
+    return rospy.get_param(rospy.resolve_name(names.ARM_CONFIG_PARAMETER), None) if is_running else None
 
 
 def wait_until(
