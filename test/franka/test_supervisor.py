@@ -309,6 +309,19 @@ def test_robot_is_not_recovered_beside_another_controller(lab):
     assert lab.interface.calls == []
 
 
+@pytest.mark.parametrize("errors", [(), ERROR])
+def test_controllers_are_requested_once_beside_another_controller(lab, errors):
+    prepared(lab)
+    lab.interface.running = {"other": Controller("running", True)}
+    lab.interface.errors = errors
+    lab.passes()
+    requests, controllers = [], lab.interface.controllers
+    lab.interface.controllers = lambda: requests.append("list") or controllers()
+    with pytest.raises((ArmNotReadyError, RobotError), match="other"):
+        lab.supervisor.recover()
+    assert requests == ["list"]
+
+
 def test_recovery_during_user_stop_is_rejected(lab):
     prepared(lab)
     lab.interface.is_user_stopped = True

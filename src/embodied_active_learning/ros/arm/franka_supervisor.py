@@ -71,7 +71,7 @@ class FrankaSupervisor:
                 prepare = self._clear_errors()
             if prepare or self._condition() is Condition.UNPREPARED:
                 self._prepare()  # a restarted franka_control has lost all settings
-            self._wait_while_transient()
+                self._wait_while_transient()
             if self._condition() is not Condition.READY:
                 raise ArmNotReadyError(self._driver.why_not_ready())
 
@@ -97,7 +97,7 @@ class FrankaSupervisor:
             return readiness.has_error
 
     def _wait_while_transient(self) -> None:
-        """Wait for transient conditions to pass, for instance of a controller that was just started."""
+        """Update the controllers, and wait for transient conditions to pass, such as a controller that just started."""
         deadline = time.monotonic() + _READY_TIMEOUT
         self.update_controllers()
         while self._condition() in _TRANSIENT and time.monotonic() < deadline:
@@ -133,8 +133,7 @@ class FrankaSupervisor:
         return True
 
     def _require_no_others(self) -> None:
-        """Raise RobotError if others may move the robot: a recovery would restart their motion."""
-        self.update_controllers()
+        """Raise RobotError if others may move the robot, as last updated: a recovery would restart their motion."""
         with self._driver.readiness() as readiness:
             others = readiness.report.others
         if others:
