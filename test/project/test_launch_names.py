@@ -1,13 +1,19 @@
 """Launch files refuse to replace the parameters of running nodes: roslaunch sets parameters before it starts nodes."""
 
 from contextlib import suppress
+from unittest.mock import Mock
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader, XmlParseException
+from rospkg import ResourceNotFound
 
-from embodied_active_learning.config import REAL_ROBOTS, SIMULATED
+from embodied_active_learning.config import REAL_ROBOTS, SIMULATED, Config
+from embodied_active_learning.pipeline import resolve
+from embodied_active_learning.ros import launch_arguments
+from embodied_active_learning.ros.bags import recording, replay_config
+from embodied_active_learning.session import fingerprint_sets
 from launching import ROOT
 from threads import in_a_thread
 
@@ -41,6 +47,16 @@ def master(monkeypatch):
         thread.join()
 
 
+@pytest.fixture
+def valid(monkeypatch):
+    """All arguments are valid: sessions and bags need not exist."""
+    monkeypatch.setattr(resolve, "resolve_config", lambda *arguments, **options: Config())
+    monkeypatch.setattr(launch_arguments, "check_bringup", Mock())
+    monkeypatch.setattr(fingerprint_sets, "searched_sessions", Mock())
+    monkeypatch.setattr(recording, "Recording", lambda *arguments: Mock(warnings=list))
+    monkeypatch.setattr(replay_config, "resolve_replay", lambda *arguments: Config())
+
+
 def load(name, **arguments):
     path = ROOT / "launch" / f"{name}.launch"
     words = [f"{key}:={value}" for key, value in arguments.items()]
@@ -68,30 +84,27 @@ LEARNING = SYSTEM | {"/monitor", "/recorder"}
         ("replay", {"bag": "nowhere.bag"}, {*SYSTEM, "/replay", "/monitor", "/identifier", *ARMS}),
     ],
 )
-def test_launch_requires_unused_names(master, tmp_path, name, arguments, names):
-    """All of them, also if the launch is refused for another reason afterwards."""
-    if name != "robot":
-        arguments = {"session_root": tmp_path, **arguments}
-    with suppress(XmlParseException):
+def test_launch_requires_unused_names(master, valid, name, arguments, names):
+    with suppress(ResourceNotFound):  # packages of a real arm
         load(name, **arguments)
     assert master.requested == names
 
 
 @pytest.mark.parametrize("node", ["/franka_arm", "/ergodic_planner"])
-def test_replay_is_refused_beside_a_running_system(master, capfd, node):
+def test_replay_is_refused_beside_a_running_system(master, valid, capfd, node):
     master.running.add(node)
     with pytest.raises(XmlParseException):
-        load("replay", bag=ROOT / "bags" / "diagonal-small.bag")
+        load("replay", bag="nowhere.bag")
     output = capfd.readouterr().err
     assert f"node {node} is already running" in output
     assert "end robot.launch before it" in output
 
 
-def test_remedy_beside_a_running_arm_is_accepted_by_the_launch(master, capfd, tmp_path):
+def test_remedy_beside_a_running_arm_is_accepted_by_the_launch(master, valid, capfd):
     """robot.launch itself takes no bringup:=none."""
     master.running.add("/franka_arm")
     for name, arguments, has_remedy in (
-        ("learn", {"robot": "franka", "session_root": tmp_path}, True),
+        ("learn", {"robot": "franka"}, True),
         ("robot", {"bringup": "nodes"}, False),
     ):
         with pytest.raises(XmlParseException):
@@ -107,7 +120,20 @@ def test_simulated_arm_is_refused_beside_a_real_one(master, capfd, tmp_path):
     assert "node /franka_arm is already running" in capfd.readouterr().err
 
 
-def test_fingerprinting_is_refused_beside_an_identification(master, capfd):
+def test_invalid_argument_is_reported_before_running_node(master, capfd, tmp_path):
+    master.running.add("/trainer")
+    for name, arguments, message in (
+        ("learn", {"seed": "one"}, "exploration/seed is 'one'"),
+        ("replay", {"bag": "nowhere.bag"}, "nowhere.bag"),
+    ):
+        with pytest.raises(XmlParseException):
+            load(name, session_root=tmp_path, **arguments)
+        output = capfd.readouterr().err
+        assert message in output
+        assert "already running" not in output
+
+
+def test_fingerprinting_is_refused_beside_an_identification(master, valid, capfd):
     master.running.add("/identifier")
     with pytest.raises(XmlParseException):
         load("fingerprint", session="a", views_from="stored")
