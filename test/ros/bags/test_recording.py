@@ -1,5 +1,6 @@
 """Recording: observations of a recorded run, or pairs of images and arm states."""
 
+import runpy
 from contextlib import suppress
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from embodied_active_learning.ros.bags.session_bag import SessionBag
 from embodied_active_learning.ros.bags.writer import BagWriter
 from embodied_active_learning.ros.conversions import image_message, state_arrays, state_message
 from embodied_active_learning.session.session import Session
+from launching import ROOT
 
 CONFIG = Config.from_dict({"camera": {"width": 8, "height": 8}, "training": {"learning_rate": 0.002}})
 STILL = (0.0, 0.0, 0.0)
@@ -161,6 +163,19 @@ def test_profile_overrides_recorded_settings(tmp_path):
     assert resolve_replay(recording, "default", [*target, "exploration/steps=66"]).training.learning_rate == 0.001
     with pytest.raises(BagError, match="has 70 observations, 71 steps were requested"):
         resolve_replay(recording, "", [*target, "exploration/steps=71"])
+
+
+@pytest.mark.parametrize(("updates", "warned"), [(0, True), (1, False)])
+def test_replay_without_learning_is_warned_about(tmp_path, monkeypatch, capsys, updates, warned):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:1")
+    profile = tmp_path / "small.yaml"
+    profile.write_text(f"camera: {{width: 8, height: 8}}\ntraining: {{updates_per_observation: {updates}}}\n")
+    main = runpy.run_path(str(ROOT / "scripts" / "resolve_replay"))["main"]
+    bag = record(tmp_path / "a.bag", range(70))
+    assert main([str(bag), "--profile", str(profile), "--set", f"session/root={tmp_path}"]) == 0
+    captured = capsys.readouterr()
+    assert f"updates_per_observation: {updates}" in captured.out
+    assert ("warning: nothing will be learned" in captured.err) == warned
 
 
 def test_resumed_replay_keeps_its_number_of_steps(tmp_path):
