@@ -1,7 +1,7 @@
 """Ways to cover a density on the unit square with a planar double integrator: peers of the package's planner.
 
-All move with the planner's dynamics and limits. Positions are normalised to [-1, 1], where trajectories are made, and
-returned on the unit square.
+All move with the planner's dynamics and limits, but SMC limits the magnitude of the acceleration where the planner
+limits each axis. Positions are normalised to [-1, 1], where trajectories are made, and returned on the unit square.
 """
 
 from __future__ import annotations

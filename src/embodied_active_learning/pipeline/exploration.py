@@ -33,7 +33,7 @@ class StepMetrics:
     coverage: float  # k
     ergodic_measure: float  # D_KL(h || d) [nat], without planned states
     distance: float  # path length in x and y [m]
-    turning: float  # [rad]
+    turning: float  # sum of the absolute changes of yaw [rad]
     effort: float  # integral of the squared normalised acceleration [1/s^3]; NaN for pose commands
 
 
