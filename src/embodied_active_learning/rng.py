@@ -15,6 +15,10 @@ class Stream(IntEnum):
     EXPLORER = 102
     CLUSTERING = 104
     STORED_VIEWS = 105
+    BATCHES = 201
+    STATES = 202
+    SUBSET = 203
+    WORKER = 204
 
 
 def resumed_seed(seed: int, visited: int) -> int:
@@ -22,9 +26,14 @@ def resumed_seed(seed: int, visited: int) -> int:
     return int(np.random.SeedSequence([seed, visited]).generate_state(1)[0]) if visited else seed
 
 
-def generator(seed: int, stream: Stream) -> np.random.Generator:
-    """Return the generator of a stream."""
-    return np.random.default_rng(np.random.SeedSequence([seed, int(stream)]))
+def seed_sequence(seed: int, stream: Stream, *key: int) -> np.random.SeedSequence:
+    """Return the seeds of a stream, or of the part of it that a key names."""
+    return np.random.SeedSequence([seed, int(stream), *key])
+
+
+def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:
+    """Return the generator of a stream, or of the part of it that a key names."""
+    return np.random.default_rng(seed_sequence(seed, stream, *key))
 
 
 def generator_state(random: np.random.Generator) -> np.ndarray:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Dict, Mapping
+from typing import Dict, Mapping, TypeVar
 
 import numpy as np
 
 from embodied_active_learning.errors import CorruptFileError
 
 StateDict = Dict[str, np.ndarray]
+_Value = TypeVar("_Value")
 
 
-def add_prefix(prefix: str, state: Mapping[str, np.ndarray]) -> StateDict:
+def add_prefix(prefix: str, state: Mapping[str, _Value]) -> Dict[str, _Value]:
     """Return the state of a part under names of the whole, such as `samples/states`."""
-    return {f"{prefix}/{name}": array for name, array in state.items()}
+    return {f"{prefix}/{name}": value for name, value in state.items()}
 
 
-def select_prefix(prefix: str, state: Mapping[str, np.ndarray]) -> StateDict:
+def select_prefix(prefix: str, state: Mapping[str, _Value]) -> Dict[str, _Value]:
     """Return the state of one part of a whole, without the prefix."""
     start = f"{prefix}/"
-    return {name[len(start) :]: array for name, array in state.items() if name.startswith(start)}
+    return {name[len(start) :]: value for name, value in state.items() if name.startswith(start)}
 
 
 def matching_arrays(state: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray]) -> StateDict:

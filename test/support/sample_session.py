@@ -35,6 +35,7 @@ from embodied_active_learning.session.session_model import load_session_model
 from embodied_active_learning.session.summary import read_summary, write_summary
 from embodied_active_learning.simulation.table_picture import TablePicture
 from embodied_active_learning.simulation.world import load_world
+from embodied_active_learning.state_dict import add_prefix
 
 NAME = "sample"
 OBSERVATIONS = 4
@@ -108,7 +109,7 @@ def make_sample(root: Path) -> Path:
             with session.open_table(name) as table:
                 for number in range(1, 4):
                     table.append({column: number, "coverage": number / 7} if name != "evaluation" else {column: number})
-        tensors = {f"{NETWORK}{name}": tensor for name, tensor in weights.items()}
+        tensors = add_prefix(NETWORK, weights)
         save_checkpoint(session.paths.checkpoints, 3, OBSERVATIONS, tensors, {"updates": 3})
         save_model(session.paths.model, weights, {"updates": 3, "observations": OBSERVATIONS})
         save_fingerprints(session.paths.path, fingerprints(config))

@@ -25,7 +25,6 @@ from embodied_active_learning.model.learner_state import (
     require_keys,
     require_shapes,
     unpack,
-    with_prefix,
     without_prefix,
 )
 from embodied_active_learning.model.loss import LossFunction, LossTerms
@@ -33,10 +32,11 @@ from embodied_active_learning.model.loss_weights import LossWeights
 from embodied_active_learning.model.metrics import Evaluation, active_units, evaluate_model
 from embodied_active_learning.model.optimiser import Optimiser
 from embodied_active_learning.model.replicas import Replicas
+from embodied_active_learning.rng import Stream, generator, seed_sequence
+from embodied_active_learning.state_dict import select_prefix
 
 ATTEMPTS = 5  # batches tried for one update before an invalid loss counts as divergence
 LOSS_LIMIT = 1e6  # nats per pixel value; a healthy model stays below 1e5 even if it predicts a wrong image confidently
-BATCHES_STREAM, STATES_STREAM, SUBSET_STREAM, WORKER_STREAM = 201, 202, 203, 204  # of random numbers, for SeedSequence
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Learner:
         self._observations = observations
         self._seed = seed
         self.device = choose_device(config.training.device)
-        weights_seed, batches_seed = np.random.SeedSequence([seed, BATCHES_STREAM]).spawn(2)
+        weights_seed, batches_seed = seed_sequence(seed, Stream.BATCHES).spawn(2)
         self._random = np.random.default_rng(batches_seed)
         self._network = build_network(config, int(weights_seed.generate_state(1)[0])).to(self.device)
         self._optimiser = Optimiser(self._network, config.training.learning_rate)
@@ -181,7 +181,7 @@ class Learner:
         """
         count = self._count(max(0, self.updates - 1))
         subset = self._reader.read(self._evaluation_indices(count))
-        random = np.random.default_rng(np.random.SeedSequence([self._seed, STATES_STREAM]))
+        random = generator(self._seed, Stream.STATES)
         with torch.no_grad():
             log_std = self._log_std_over(self._workspace_states(random), count)
             units, errors = evaluate_model(self.network, self._inference, subset)
@@ -260,7 +260,7 @@ class Learner:
 
     def reseed(self, *key: int) -> None:
         """Draw the following batches and noise from a stream of their own, given by the seed and a key."""
-        self._random = np.random.default_rng(np.random.SeedSequence([self._seed, WORKER_STREAM, *key]))
+        self._random = generator(self._seed, Stream.WORKER, *key)
 
     def state_dict(self) -> LearnerState:
         """Return a copy of the state: weights, moments, counters, loss weights and random generator.
@@ -297,7 +297,7 @@ class Learner:
         require_keys(counters, ("updates", "skipped", "rollbacks", "replica_updates", "schedule", "generator"))
         current = self.state_dict().tensors
         require_shapes(without_prefix(PREVIOUS, tensors), without_prefix(PREVIOUS, current))
-        previous = with_prefix(PREVIOUS, tensors)
+        previous = select_prefix(PREVIOUS, tensors)
         if previous:
             require_shapes(previous, dict(self.network.named_parameters()))
         try:
@@ -312,8 +312,8 @@ class Learner:
             raise CorruptFileError(
                 f"invalid counters in the checkpoint: {error!r}; delete the file to use an older one"
             ) from error
-        self.network.load_state_dict(with_prefix(NETWORK, tensors))
-        self._optimiser.load_state_dict(with_prefix(ADAM, tensors))
+        self.network.load_state_dict(select_prefix(NETWORK, tensors))
+        self._optimiser.load_state_dict(select_prefix(ADAM, tensors))
         self.updates, self.skipped, self.rollbacks = updates, skipped, rollbacks
         self.loss_weights, self._random = loss_weights, random
         self._prepared = -1
@@ -333,8 +333,8 @@ class Learner:
         self.skipped, self.rollbacks = skipped, rollbacks
         if self.replicas.updates > self.updates:
             self.refresh()  # replaces the diverged model
-        generator: Any = self._random.bit_generator  # PCG64, which has jumped()
-        self._random = np.random.Generator(generator.jumped(rollbacks))
+        bits: Any = self._random.bit_generator  # PCG64, which has jumped()
+        self._random = np.random.Generator(bits.jumped(rollbacks))
 
     def _compute_gradients(self, count: int, beta: float, gamma: float) -> LossTerms:
         """Draw two batches, each without repetition, and compute the loss and its gradient."""
@@ -387,5 +387,5 @@ class Learner:
         Every observation has a random key that follows from the seed, and the smallest keys are chosen: the subset
         changes little while a run grows, and does not depend on the number of steps that are planned.
         """
-        random = np.random.default_rng(np.random.SeedSequence([self._seed, SUBSET_STREAM]))
+        random = generator(self._seed, Stream.SUBSET)
         return np.argsort(random.random(count), kind="stable")[: self._config.training.evaluation_size]

@@ -8,10 +8,11 @@ import torch
 
 from embodied_active_learning.errors import ConfigError, CorruptFileError
 from embodied_active_learning.model.optimiser import copy_to_cpu
+from embodied_active_learning.state_dict import add_prefix, select_prefix
 
-NETWORK = "network/"
-ADAM = "adam/"
-PREVIOUS = "previous_replica/"
+NETWORK = "network"
+ADAM = "adam"
+PREVIOUS = "previous_replica"
 """Prefixes of tensor names; PREVIOUS: of the replica of the previous refresh."""
 
 
@@ -28,22 +29,17 @@ class LearnerState(NamedTuple):
 
 def copy_with_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
     """Return copies of the tensors on the CPU, with prefixed names."""
-    return {prefix + name: copy_to_cpu(tensor) for name, tensor in tensors.items()}
-
-
-def with_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
-    """Return the tensors whose names have the prefix, without it."""
-    return {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+    return add_prefix(prefix, {name: copy_to_cpu(tensor) for name, tensor in tensors.items()})
 
 
 def without_prefix(prefix: str, tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
     """Return the tensors whose names do not have the prefix."""
-    return {name: tensor for name, tensor in tensors.items() if not name.startswith(prefix)}
+    return {name: tensor for name, tensor in tensors.items() if not name.startswith(f"{prefix}/")}
 
 
 def network_weights(tensors: Mapping[str, torch.Tensor]) -> Dict[str, torch.Tensor]:
     """Return the network's weights among a checkpoint's tensors, by the network's own names."""
-    return with_prefix(NETWORK, tensors)
+    return select_prefix(NETWORK, tensors)
 
 
 def pack(tensors: Mapping[str, torch.Tensor]) -> torch.Tensor:
