@@ -32,7 +32,8 @@ from embodied_active_learning.evaluation.result_tables import (
 )
 from embodied_active_learning.evaluation.table1 import RULES, table_lines
 from embodied_active_learning.figures.curves import draw_curves
-from embodied_active_learning.sweep.comparison import clustering_settings, compare_columns, group_records
+from embodied_active_learning.session.tables import COLUMNS
+from embodied_active_learning.sweep.comparison import clustering_settings, compare_columns, group_records, with_unit
 from embodied_active_learning.sweep.csv_files import read_rows
 from embodied_active_learning.sweep.record_figures import draw_record_metrics
 from embodied_active_learning.sweep.run_records import Record, has_record, load_record
@@ -83,8 +84,8 @@ def ablations(records: List[Record]) -> List[str]:
     curves = compare_columns(groups)
     wanted = {"ergodic_measure": "exploration", "effort": "exploration", "active_units": "evaluation"}
     wanted.update(dict.fromkeys(("mse_own", "mse_shuffled", "mse_none"), "evaluation"))
-    panels = {name: curves[table, name] for name, table in wanted.items() if (table, name) in curves}
-    axes = {name: "step" if table == "exploration" else "update" for name, table in wanted.items()}
+    panels = {with_unit(name): curves[table, name] for name, table in wanted.items() if (table, name) in curves}
+    axes = {with_unit(name): COLUMNS[table][0] for name, table in wanted.items()}
     draw_curves(IMAGES / "ablations.png", panels, axes)
     return ["", *group_table(groups, MEASURES), "", *folded("all runs", run_table(records))]
 

@@ -116,6 +116,15 @@ def test_command_writes_table_and_csv(tmp_path, capsys, monkeypatch):
     assert (row["table"], row["column"], row["group"]) == ("exploration", "ergodic_measure", "ergodic (n = 2)")
 
 
+def test_panels_have_units_and_more_than_one_row():
+    record = make_record("a", "ergodic", 1.0)
+    record.tables["evaluation"] = {name: values[-1:] for name, values in record.tables["evaluation"].items()}
+    panels, axes = compare_sessions._panels(compare_columns({"a": [record]}))
+    assert axes["ergodic_measure\n[nat]"] == "step"
+    assert "gamma" in panels
+    assert "mse_own" not in panels
+
+
 def test_command_names_settings_that_a_group_mixes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(compare_sessions, "draw_curves", lambda path, panels, axes: path)
     for name, explorer in (("a", "ergodic"), ("b", "uniform")):

@@ -56,7 +56,7 @@ def draw_curves(path: Path, panels: Mapping[str, Sequence[Curve]], axis: Mapping
         title: Title of the figure.
     """
     columns = min(_MAX_COLUMNS, max(1, len(panels)))
-    rows = math.ceil(len(panels) / columns)
+    rows = max(1, math.ceil(len(panels) / columns))
     figure = new_figure(_WIDTH * columns, _HEIGHT * rows + 0.4)
     names = list(dict.fromkeys(curve.label for curves in panels.values() for curve in curves))
     colours = {name: colour(index) for index, name in enumerate(names)}

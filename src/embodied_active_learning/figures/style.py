@@ -84,7 +84,7 @@ def colour(index: int) -> str:
 def style_axes(axes: Axes) -> None:
     """Remove the upper and right spine and add a faint grid."""
     axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=SMALL)
+    axes.tick_params(which="both", labelsize=SMALL)  # minor ticks of a logarithmic axis have labels too
     axes.grid(color="#E0E0E0", linewidth=0.5)
     axes.set_axisbelow(True)
     axes.margins(x=0.01)

@@ -45,6 +45,24 @@ COLUMNS: Dict[str, Tuple[str, ...]] = {
     "rounds": ("update", "trainers", "updates", "seconds", "computing"),
 }
 # fmt: on
+UNITS: Dict[str, str] = {
+    "time": "s",
+    "x": "m",
+    "y": "m",
+    "theta": "rad",
+    "ergodic_measure": "nat",
+    "distance": "m",
+    "turning": "rad",
+    "effort": "1/s^3",
+    "loss": "nat per pixel value",
+    "reconstruction": "nat per pixel value",
+    "conditional_reconstruction": "nat per pixel value",
+    "kl": "nat",
+    "drift": "m",
+    "seconds": "s",
+    "computing": "s",
+}
+"""Units of the columns that have one."""
 
 
 class Table:

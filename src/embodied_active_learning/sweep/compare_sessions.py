@@ -21,6 +21,7 @@ from embodied_active_learning.sweep.comparison import (
     comparison_rows,
     group_records,
     load_records,
+    with_unit,
 )
 from embodied_active_learning.sweep.csv_files import write_rows
 from embodied_active_learning.sweep.run_records import Record
@@ -58,12 +59,17 @@ def _mixed_runs(groups: Mapping[str, List[Record]]) -> List[str]:
 
 
 def _panels(curves: Mapping[Tuple[str, str], List[Curve]]) -> Tuple[Dict[str, List[Curve]], Dict[str, str]]:
-    """Return curves and axis labels by the name of the panel; a column of two tables has two panels."""
+    """Return curves and axis labels by the name of the panel.
+
+    A column of two tables has two panels, and one with a single row in every group has none.
+    """
     panels: Dict[str, List[Curve]] = {}
     axes: Dict[str, str] = {}
     for (table, column), found in curves.items():
-        name = column if column not in panels else f"{column} ({table})"
-        panels[name], axes[name] = found, COLUMNS[table][0]
+        if any(curve.x[-1] > curve.x[0] for curve in found):
+            name = with_unit(column)
+            name = name if name not in panels else f"{name} ({table})"
+            panels[name], axes[name] = found, COLUMNS[table][0]
     return panels, axes
 
 

@@ -15,7 +15,7 @@ from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import ConfigError, SessionError
 from embodied_active_learning.figures.curves import Curve
 from embodied_active_learning.schema import settings, suggestion
-from embodied_active_learning.session.tables import COLUMNS
+from embodied_active_learning.session.tables import COLUMNS, UNITS
 from embodied_active_learning.sweep.run_records import RECORD_FILE, Record, load_record
 
 POINTS = 50
@@ -115,6 +115,11 @@ def compare_columns(groups: Mapping[str, Sequence[Record]]) -> Dict[Tuple[str, s
                 found = [_curve(name, records, table, column) for name, records in groups.items()]
                 curves[table, column] = [curve for curve in found if len(curve.x)]
     return {key: found for key, found in curves.items() if found}
+
+
+def with_unit(column: str) -> str:
+    """Return the name of a column as the label of an axis, with its unit on a second line if it has one."""
+    return f"{column}\n[{UNITS[column]}]" if column in UNITS else column
 
 
 def comparison_rows(curves: Mapping[Tuple[str, str], Sequence[Curve]]) -> Iterator[Dict[str, object]]:
