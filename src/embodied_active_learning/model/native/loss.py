@@ -61,25 +61,26 @@ class NativeLoss:
         gradient, log_std = torch.empty_like(decoded), clamped(decoded[0])
         weights = _error_weights(log_std, gamma)
         transposes = decoder.transpose_inputs, lambda: encoder.transpose_inputs(rows)
-        found = convolutions.reconstruct(network, decoded[1:], pair.images, weights, gradient[1:], transposes)
-        gradient[0] = _log_std_gradient(found.errors, log_std, gamma) * clamp_mask(decoded[0])
+        images = convolutions.reconstruct(network, decoded[1:], pair.images, weights, gradient[1:], transposes)
+        gradient[0] = _log_std_gradient(images.errors, log_std, gamma) * clamp_mask(decoded[0])
         # Backward: decoder -> latents, where both halves' gradients add up -> encoder.
-        at_inputs = decoder.backward(gradient)
-        at_samples = at_inputs[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
-        at_inputs = encoder.backward(latent.backward(at_samples, beta))
-        # Gradients of weights and biases, in the order of network.parameters().
-        last = _Deferred(found.gradients), _Deferred(encoder.bias_gradients), _Deferred(decoder.bias_gradients)
+        at_decoder_inputs = decoder.backward(gradient)
+        at_samples = at_decoder_inputs[:, : network.latent_size].unflatten(0, (2, size)).sum(0).t()
+        at_encoder_inputs = encoder.backward(latent.backward(at_samples, beta))
+        # Gradients of weights and biases, in the order of network.parameters(). Those that can wait are computed
+        # beside the image encoder's.
+        deferred = _Deferred(images.gradients), _Deferred(encoder.bias_gradients), _Deferred(decoder.bias_gradients)
         factors = [*encoder.weight_gradient_factors, *decoder.weight_gradient_factors]
-        back = convolutions.encoder_backward(saved, at_inputs[:, :width], factors, last)
-        (image_decoder, *biases), sums = zip(*(deferred.result for deferred in last))
-        linear = zip(back.products, [bias for part in biases for bias in part])
-        gradients = [*back.gradients, *(part for layer in linear for part in layer), *image_decoder]
+        image_encoder = convolutions.encoder_backward(saved, at_encoder_inputs[:, :width], factors, deferred)
+        (image_decoder, *biases), sums = zip(*(job.result for job in deferred))
+        linear = zip(image_encoder.products, [bias for part in biases for bias in part])
+        gradients = [*image_encoder.gradients, *(part for layer in linear for part in layer), *image_decoder]
         for parameter, part in zip(network.parameters(), gradients):
             parameter.grad = part
-        halves = _reconstruction_terms(found.errors, log_std)
+        halves = _reconstruction_terms(images.errors, log_std)
         kl = kl_divergence(latent.gaussian)
         total = total_loss(halves[0], halves[1], kl, beta, gamma)
-        return LossTerms(total, halves[0], halves[1], kl, latent.gaussian.mean, back.sum + sum(sums))
+        return LossTerms(total, halves[0], halves[1], kl, latent.gaussian.mean, image_encoder.sum + sum(sums))
 
 
 def _reconstruction_terms(errors: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:

@@ -89,7 +89,7 @@ class RecordedPairs:
                 return None
             image = model_image(image, self._camera)
             self._images.add(image, stamp)
-            self._images.view(state)
+            self._images.accept(state)
         except ObservationError as error:
             self.rejected[str(error)] += 1
             return None

@@ -102,8 +102,11 @@ class ImageBuffer:
             )
         return stamp
 
-    def view(self, state: PlanarState) -> Image:
-        """Return the newest image, taken from a state. Raises ObservationError if it is unusable."""
+    def accept(self, state: PlanarState) -> Image:
+        """Check the newest image, taken from a state, mark it as used and return it.
+
+        Raises ObservationError if it is unusable: of a single colour, or the same as from another state.
+        """
         image = self._newest
         if image is None:
             raise ObservationError(f"no image on {rospy.resolve_name(names.CAMERA_IMAGE)} yet")

@@ -91,4 +91,4 @@ class PosedCamera:
         # The arm's response may arrive before the clock message with the same time.
         stamp = self._images.require_fresh(after, max(self._clock(), after))
         state = self._poses.at(stamp)
-        return self._images.view(state), state
+        return self._images.accept(state), state
