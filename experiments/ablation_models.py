@@ -58,7 +58,7 @@ def view_errors(session: Session) -> Dict[str, object]:
     found, config = load_session_model(session), session.config
     if found is None:
         raise SystemExit(f"{session.paths.path} has no trained model: finish the run first")
-    places = np.array([[x, y] for _, x, y in true_objects(config)])
+    places = np.array([[item.x, item.y] for item in true_objects(config)])
     scene = Scene(load_world(config.simulation.world, config.workspace.box()), config.camera)
     views = draw_independent(config, scene, lambda states: np.zeros(len(states)), VIEWS, SEED)
     scene.close()
@@ -72,7 +72,7 @@ def successes(session: Session, images: Session, count: int) -> Dict[str, object
 
     Objects of a kind that has no fingerprint count as not found.
     """
-    kinds = {kind for kind, _, _ in true_objects(session.config)}
+    kinds = {item.kind for item in true_objects(session.config)}
     rows: List[Dict[str, object]] = []
     try:
         fingerprints = ensure_fingerprints(session)
@@ -81,7 +81,7 @@ def successes(session: Session, images: Session, count: int) -> Dict[str, object
     except ObservationError as error:  # a variant may learn nothing
         print(f"{session.name}: {error}", flush=True)
         learned = set()
-    missed = sum(kind in kinds - learned for kind, _, _ in true_objects(images.config))
+    missed = sum(item.kind in kinds - learned for item in true_objects(images.config))
     result: Dict[str, object] = {"kinds_learned": len(learned), "kinds": len(kinds)}
     for rule in RULES:
         chosen = [row for row in rows if row["rule"] == rule]

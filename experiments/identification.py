@@ -16,7 +16,7 @@ from typing import Iterator, List, Sequence, Tuple
 
 import torch
 from identification_baselines import BASELINES, Stream
-from identification_scenes import CONDITIONS, Place, Row, Scenes, judge, locations, photograph, report, true_kind
+from identification_scenes import CONDITIONS, Place, Row, Scenes, judge, photograph, report
 
 from embodied_active_learning.config import BELIEF, FROM_BELIEF, LATENTS, PIXELS, IdentificationConfig
 from embodied_active_learning.evaluation.table1 import keep_counted
@@ -25,7 +25,9 @@ from embodied_active_learning.objects.decision_rule import make_rule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.identification import Identification
 from embodied_active_learning.objects.scene_views import ObservedScene
+from embodied_active_learning.objects.scoring import true_kinds
 from embodied_active_learning.session.fingerprints import load_fingerprints
+from embodied_active_learning.simulation.truth import objects_of
 from embodied_active_learning.simulation.world import World, load_world
 from embodied_active_learning.sweep.csv_files import append_rows, read_rows
 
@@ -93,9 +95,9 @@ class Evaluation:
         worlds = {item.session: load_world(item.config.simulation.world, self._box) for item in sets}
         self.scenes = Scenes(worlds, self.config, reserved)
         self.kinds = {
-            (item.session, one.name): true_kind(one.kind, one.centre, worlds[item.session])
+            (item.session, name): kind
             for item in sets
-            for one in item.fingerprints
+            for name, kind in true_kinds(item, objects_of(worlds[item.session])).items()
         }
         self.search = Identification(sets, self._box, self.config.camera, self._settings)
         pixels = replace(self._settings, features=PIXELS)
@@ -143,7 +145,7 @@ class Evaluation:
         kept = []
         for session in dict.fromkeys(session for session, _ in self.kinds):
             kinds = {name: kind for (other, name), kind in self.kinds.items() if other == session}
-            kept += keep_counted(decisions, session, kinds, locations(world))
+            kept += keep_counted(decisions, session, kinds, objects_of(world))
         return kept
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Dict, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
@@ -27,12 +27,13 @@ from embodied_active_learning.evaluation.identification_tables import (
 from embodied_active_learning.evaluation.result_tables import Rows
 from embodied_active_learning.objects.decision import UNDECIDED, Decision
 from embodied_active_learning.objects.fingerprint import BLANK
-from embodied_active_learning.objects.scoring import SAME_PLACE, nearest
+from embodied_active_learning.objects.scoring import Truth, score
 from embodied_active_learning.simulation.disturbance import Disturbance
 from embodied_active_learning.simulation.placed_objects import PlacedObject
 from embodied_active_learning.simulation.random_world import random_world
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS
+from embodied_active_learning.simulation.truth import objects_of
 from embodied_active_learning.simulation.world import World, build_world
 from embodied_active_learning.simulation.world_settings import Disturbances, GeneratedTexture
 
@@ -156,17 +157,6 @@ def photograph(world: World, config: Config, count: int, seed: int) -> Tuple[np.
     return states, np.stack(images)
 
 
-def locations(world: World) -> List[Tuple[str, float, float]]:
-    """Return kind and position of each object."""
-    return [(item.kind, item.position[0], item.position[1]) for item in world.objects]
-
-
-def true_kind(kind: str, centre: np.ndarray, world: World) -> str:
-    """Return the kind of the object at a fingerprint's centre: BLANK of a blank, "" if no object is there."""
-    found, distance = nearest(centre, locations(world))
-    return BLANK if kind == BLANK else found if distance <= SAME_PLACE else ""
-
-
 def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[str, str], kind: str) -> Row:
     """Compare the decisions of a rule about one fingerprint with the scene.
 
@@ -175,18 +165,11 @@ def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[st
         place: The scene.
         rule: Name of the rule.
         name: Session and name of the fingerprint.
-        kind: Of the object that it shows, as `true_kind` returns it.
+        kind: Of the object that it shows, as `true_kinds` returns it.
     """
-    objects = locations(place.world)
-    instances = [item for item in objects if item[0] == kind]
-    found = [item for item in decisions if item.found]
-    if kind == BLANK:
-        false = any(nearest(item.pose, objects)[1] <= SAME_PLACE for item in found)
-        hit, error = bool(found) and not false, 0.0
-    else:
-        false = any(nearest(item.pose, instances)[1] > SAME_PLACE for item in found)
-        error = min((nearest(item.pose, instances)[1] for item in found), default=np.inf)
-        hit = error <= SAME_PLACE
+    scored = score(decisions, Truth(objects_of(place.world), {name: kind}))
+    found = any(item.found for item in decisions)
+    errors = [0.0] if kind == BLANK and found and not scored.false_claims else scored.errors
     return Row(
         condition=place.condition,
         scene=place.number,
@@ -195,11 +178,11 @@ def judge(decisions: Sequence[Decision], place: Place, rule: str, name: Tuple[st
         fingerprint=name[1],
         kind=kind or NO_OBJECT,
         own_table=int(place.learned_by == name[0]),
-        present=int(kind == BLANK or bool(instances)),
-        hit=int(hit),
-        false_claim=int(false),
+        present=int(kind == BLANK or scored.instances > 0),
+        hit=int(bool(errors)),
+        false_claim=int(scored.false_claims > 0),
         undecided=int(not found and any(item.outcome == UNDECIDED for item in decisions)),
-        error=float(error) if hit else float("nan"),
+        error=min(errors, default=float("nan")),
         reason=decisions[0].reason if decisions else "",
     )
 

@@ -23,10 +23,8 @@ from identification_scenes import (
     Row,
     Scenes,
     judge,
-    locations,
     photograph,
     report,
-    true_kind,
 )  # fmt: skip
 
 from embodied_active_learning.config import Config, IdentificationConfig
@@ -38,11 +36,12 @@ from embodied_active_learning.objects.decision import decisions_about
 from embodied_active_learning.objects.decision_rule import make_rule
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT, Fingerprint, FingerprintSet
 from embodied_active_learning.objects.scene_views import ObservedScene
-from embodied_active_learning.objects.scoring import nearest
+from embodied_active_learning.objects.scoring import nearest, true_kinds
 from embodied_active_learning.objects.search_target import SearchTarget
 from embodied_active_learning.simulation.random_world import SHIPPED, is_wide, random_world
 from embodied_active_learning.simulation.scene import Scene
 from embodied_active_learning.simulation.table_textures import TEXTURE_KINDS
+from embodied_active_learning.simulation.truth import objects_of
 from embodied_active_learning.simulation.world import World, build_world
 from embodied_active_learning.simulation.world_settings import GeneratedTexture
 from embodied_active_learning.sweep.csv_files import append_rows, read_rows
@@ -95,9 +94,9 @@ class Half:
         self.targets = [[self._target(item, one) for one in item.fingerprints] for item in self.sets]
         self._scenes = Scenes(self._worlds, self.config)
         self._kinds: Dict[Tuple[str, str], str] = {
-            (item.session, one.name): true_kind(one.kind, one.centre, self._worlds[item.session])
+            (item.session, name): kind
             for item in self.sets
-            for one in item.fingerprints
+            for name, kind in true_kinds(item, objects_of(self._worlds[item.session])).items()
         }
 
     def scene(self, condition: str, number: int) -> Place:
@@ -152,7 +151,7 @@ class Half:
         random = np.random.default_rng([self._half, int(session.split("-")[1])])
         scene = Scene(world, self.config.camera)
         free = random.uniform(self._box.lower[:2], self._box.upper[:2], (200, 2))
-        barest = max(free, key=lambda one: nearest(one, locations(world))[1])
+        barest = max(free, key=lambda one: nearest(one, objects_of(world))[1])
         fingerprints = []
         for index, item in enumerate(world.objects):
             error = np.clip(random.normal(0.0, CENTRE_ERROR, 2), -MAX_ERROR, MAX_ERROR)

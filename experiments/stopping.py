@@ -77,7 +77,7 @@ def evaluate(session: Session) -> Dict[str, List[Dict[str, Any]]]:
     config, criterion = session.config, StoppingCriterion()
     plan = config.update_plan
     evaluations, training = session.read_table("evaluation"), session.read_table("training")
-    truth = np.array([item[1:] for item in true_objects(config)], dtype=float).reshape(-1, 2)
+    truth = np.array([(item.x, item.y) for item in true_objects(config)], dtype=float).reshape(-1, 2)
     rows: Dict[str, List[Dict[str, Any]]] = {"checks": [], "objects": []}
     with session.open_observations() as store:
         stored = store.snapshot()

@@ -76,10 +76,9 @@ def identified(path: Path, name: str) -> str:
 
 def describe_object(true_object: TrueObject, decisions: Sequence[Decision], truth: Truth) -> str:
     """Return what was decided about a true object."""
-    kind, x, y = true_object
-    place = f"{kind:6} at x {x:.3f} m, y {y:.3f} m"
+    place = f"{true_object.name:6} at x {true_object.x:.3f} m, y {true_object.y:.3f} m"
     about_objects = [item for item in decisions if item.kind != BLANK]
-    of_kind = [item for item in about_objects if truth.kinds[item.session, item.fingerprint] == kind]
+    of_kind = [item for item in about_objects if truth.kinds[item.session, item.fingerprint] == true_object.kind]
     claims = [item for item in about_objects if item.found and nearest(item.pose, [true_object])[1] <= SAME_PLACE]
     hits = [item for item in claims if item in of_kind]
     if hits:

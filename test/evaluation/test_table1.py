@@ -7,10 +7,15 @@ import numpy as np
 from embodied_active_learning.config import Config
 from embodied_active_learning.evaluation import table1
 from embodied_active_learning.evaluation.table1 import keep_counted, successes, table_lines
+from embodied_active_learning.objects.scoring import TrueObject
 from sample_decisions import make_decision
 
 KINDS = {"object-1": "duck", "blank-1": "blank"}
-OBJECTS = [("duck", 0.4, 0.0), ("duck", 0.6, 0.1), ("star", 0.5, -0.1)]
+OBJECTS = [
+    TrueObject("duck_1", "duck", 0.4, 0.0),
+    TrueObject("duck_2", "duck", 0.6, 0.1),
+    TrueObject("star", "star", 0.5, -0.1),
+]
 
 
 def decision(name, x, y, belief, found=True):
@@ -52,11 +57,11 @@ def test_table_has_totals_beside_those_of_the_paper():
 def test_model_is_measured_by_both_rules(monkeypatch):
     """In its own environment, both rules find the duck; only the ranked rule claims a second place."""
     duck, plant = table1.true_objects(config_of("diagonal"))
-    kinds = [Fake("object-1", duck), Fake("blank-1", ("blank", 0.5, 0.0))]
+    kinds = [Fake("object-1", duck), Fake("blank-1", TrueObject("blank", "blank", 0.5, 0.0))]
     monkeypatch.setattr(table1, "ensure_fingerprints", lambda session: SimpleNamespace(fingerprints=kinds))
 
     def identify(model, images_of, images, name, overwrite, **settings):
-        right, wrong = decision("object-1", duck[1], duck[2], 0.9), decision("object-1", plant[1], plant[2], 0.8)
+        right, wrong = decision("object-1", duck.x, duck.y, 0.9), decision("object-1", plant.x, plant.y, 0.8)
         return [wrong, right] if settings == {"decision": "belief", "min_belief": 0.0} else [right]
 
     monkeypatch.setattr(table1, "identify", identify)
@@ -72,7 +77,7 @@ class Fake:
 
     def __init__(self, name, place):
         self.name, self.kind = name, name.split("-")[0]
-        self.centre = np.array([place[1], place[2], 0.0])
+        self.centre = np.array([place.x, place.y, 0.0])
 
 
 def config_of(world):

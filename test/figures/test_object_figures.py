@@ -20,12 +20,12 @@ from embodied_active_learning.figures.top_view import compose_top_view
 from embodied_active_learning.objects.decision import NOT_HERE
 from embodied_active_learning.objects.fingerprint import BLANK, OBJECT
 from embodied_active_learning.objects.matching import Matches
-from embodied_active_learning.objects.scoring import Truth
+from embodied_active_learning.objects.scoring import TrueObject, Truth
 from embodied_active_learning.objects.unknown import UnknownObject
 
 CONFIG = Config.from_dict({"camera": {"width": 24, "height": 20}, "model": {"latent_size": 2}})
 WORKSPACE = CONFIG.workspace.box()
-OBJECTS = (("plant_of_some_size", 0.54, 0.09), ("duck", 0.39, -0.10))
+OBJECTS = (TrueObject("plant_of_some_size", "plant", 0.54, 0.09), TrueObject("duck_2", "duck", 0.39, -0.10))
 TRUTH = Truth(OBJECTS, {("a", "object-1"): "duck"})
 LONG = "a-session-with-an-extremely-long-name-" * 4
 
@@ -123,7 +123,7 @@ def test_contact_sheet_marks_centre_and_objects():
     for axes in (wide, close):
         assert markers(axes, filled=True) == [tuple(fingerprint.centre[:2])]
         crosses = [line.get_xydata()[0].tolist() for line in axes.lines if line.get_marker() == "+"]
-        assert crosses == [[x, y] for _, x, y in OBJECTS]
+        assert crosses == [[item.x, item.y] for item in OBJECTS]
     (left, right), (bottom, top) = close.get_xlim(), close.get_ylim()
     x, y = fingerprint.states[:, :2].T
     assert ((x > left) & (x < right) & (y > bottom) & (y < top)).all()
@@ -253,6 +253,7 @@ def test_false_claim_has_own_marker_and_outcome():
     axes = titled(figure, "a, object-1")[0]
     assert markers(axes, filled=True, shape="s") == [(0.54, 0.09)]
     assert markers(axes, filled=True) == [(0.39, -0.10)]
+    assert "duck_2" in [text.get_text() for text in axes.texts]
     assert "false: 1 of 2" in [text.get_text() for one in figure.axes for text in one.texts]
 
 

@@ -22,6 +22,7 @@ from embodied_active_learning.figures.session_figures import draw_session_figure
 from embodied_active_learning.figures.top_view import compose_top_view, load_session_images
 from embodied_active_learning.geometry import metres_per_pixel
 from embodied_active_learning.model.cvae import ConditionalVAE
+from embodied_active_learning.objects.scoring import TrueObject
 from embodied_active_learning.session.checkpoints import save_model
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.tables import COLUMNS
@@ -131,7 +132,8 @@ def test_pixel_size_at_30_degrees_and_30_cm():
 def test_session_figures_of_finished_run(tmp_path):
     session = make_session(tmp_path)
     save_model(session.paths.model, make_network(session.config).state_dict(), {"updates": 60, "observations": 40})
-    paths = draw_session_figures(session, [("red disc", 0.39, -0.10), ("blue disc", 0.55, 0.08)])
+    objects = [TrueObject("red", "disc", 0.39, -0.10), TrueObject("blue", "disc", 0.55, 0.08)]
+    paths = draw_session_figures(session, objects)
     assert [path.name for path in paths] == ["learning_metrics.png", "entropy.png", "reconstructions.png"]
     for path in paths:
         assert path.parent == session.paths.figures

@@ -1,6 +1,5 @@
 """Fingerprinting and identification through launch files, services and actions, with a small model."""
 
-import math
 import subprocess
 import sys
 
@@ -70,7 +69,7 @@ def fingerprinted(learning):
 def distances(found, path):
     truth = true_objects(Session.open_read_only(path).config)
     objects = [item for item in found.fingerprints if item.kind == "object"]
-    return sorted(min(math.hypot(item.centre[0] - x, item.centre[1] - y) for _, x, y in truth) for item in objects)
+    return sorted(nearest(item.centre, truth)[1] for item in objects)
 
 
 def test_second_simultaneous_call_is_rejected(learning):
@@ -208,7 +207,7 @@ def test_learned_objects_are_found_in_another_world(identified):
     # Without the star: a model as small as this one may confuse it with a learned object.
     right = []
     for kind in ("duck", "plant"):
-        standing = [item for item in truth if item[0] == kind]
+        standing = [item for item in truth if item.kind == kind]
         # An undecided object has its best candidate there: few views on one table give wide limits.
         own = [item for item in result.decisions if item.outcome != NOT_HERE and kinds[item.fingerprint] == kind]
         right += [item for item in own if nearest(item.pose, standing)[1] < 0.03]

@@ -101,7 +101,7 @@ def centres(fingerprints):
 
 
 def nearest(place, truth):
-    return min(math.hypot(place[0] - x, place[1] - y) for _, x, y in truth)
+    return min(math.hypot(place[0] - item.x, place[1] - item.y) for item in truth)
 
 
 TRUTH = true_objects(Config.from_dict({"simulation": {"world": "diagonal"}}))

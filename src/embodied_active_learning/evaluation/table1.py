@@ -14,7 +14,7 @@ from embodied_active_learning.errors import SessionError
 from embodied_active_learning.evaluation.result_tables import binomial_interval
 from embodied_active_learning.objects.decision import Decision, decisions_about
 from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
-from embodied_active_learning.objects.scoring import SAME_PLACE, TrueObject, Truth, nearest, score, true_kinds
+from embodied_active_learning.objects.scoring import TrueObject, Truth, score, true_kinds
 from embodied_active_learning.pipeline.api import fingerprint, identify
 from embodied_active_learning.session.fingerprints import load_fingerprints
 from embodied_active_learning.session.session import Session
@@ -72,7 +72,7 @@ def keep_counted(
     kept: List[Decision] = []
     for name, kind in kinds.items():
         about = sorted(decisions_about(decisions, session, name), key=lambda item: -item.belief_mean)
-        kept += about[: 1 if kind == BLANK else sum(other == kind for other, _, _ in objects)]
+        kept += about[: 1 if kind == BLANK else sum(item.kind == kind for item in objects)]
     return kept
 
 
@@ -89,11 +89,12 @@ def successes(
         objects: True objects of the environment.
     """
     names = [name for name, other in kinds.items() if other == kind]
+    truth = Truth(objects, {(session, name): kind for name in names})
     if kind == BLANK:
         about = [decisions_about(decisions, session, name) for name in names]
-        right = [any(item.found and nearest(item.pose, objects)[1] > SAME_PLACE for item in items) for items in about]
+        right = [any(item.found and not truth.is_false_claim(item) for item in items) for items in about]
         return sum(right), len(names)
-    found = score(decisions, Truth(objects, {(session, name): kind for name in names}))
+    found = score(decisions, truth)
     return found.hits, found.instances
 
 

@@ -214,6 +214,6 @@ def _side_by_side(stored: np.ndarray, new: np.ndarray) -> np.ndarray:
 def _extent(trace: Trace) -> Extent:
     """Part of the table with all camera positions, decisions and true objects."""
     decided = (decision.pose[:2] for decision in trace.decisions)
-    places = [*trace.states[:, :2], *decided, *((x, y) for _, x, y in trace.truth.objects)]
+    places = [*trace.states[:, :2], *decided, *((item.x, item.y) for item in trace.truth.objects)]
     (left, bottom), (right, top) = np.min(places, axis=0) - _MARGIN, np.max(places, axis=0) + _MARGIN
     return (float(left), float(right), float(bottom), float(top))

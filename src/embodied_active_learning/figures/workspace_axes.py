@@ -93,11 +93,11 @@ def draw_image(axes: Axes, image: np.ndarray, caption: str = "") -> None:
 
 
 def mark_objects(axes: Axes, objects: Sequence[TrueObject], behind: bool = False) -> None:
-    """Mark the true objects; set the limits of the axes first.
+    """Mark the true objects with their names; set the limits of the axes first.
 
     behind: draw larger crosses that stay visible behind the markers of decisions.
     """
-    for name, x, y in objects:
+    for name, _, x, y in objects:
         axes.plot(x, y, "+", markersize=_MARKER_SIZE + _BEHIND_EXTRA if behind else _CROSS_SIZE, **_CROSS_STYLE)
         _write_beside(axes, name, (x, y), SMALL if behind else MEDIUM, above=True)
 

@@ -55,10 +55,10 @@ def _outcome(decision: Decision, truth: Truth) -> str:
 
 def _at(pose: np.ndarray, objects: Sequence[TrueObject]) -> str:
     """What is at a place of the table."""
-    kind, distance = nearest(pose, objects)
-    if distance > SAME_PLACE:
-        return "bare table" if distance > 2.0 * SAME_PLACE else f"beside {kind}"
-    return kind
+    item, distance = nearest(pose, objects)
+    if item is None or distance > 2.0 * SAME_PLACE:
+        return "bare table"
+    return item.name if distance <= SAME_PLACE else f"beside {item.name}"
 
 
 def _error(decision: Decision, truth: Truth) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Dict, List, NamedTuple, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from embodied_active_learning.objects.fingerprint import BLANK, FingerprintSet
 
 
 class TrueObject(NamedTuple):
-    """An object of the true scene: its kind, and its place x, y [m]."""
+    """An object of the true scene: its name in the world file, its kind, and its place x, y [m]."""
 
+    name: str
     kind: str
     x: float
     y: float
@@ -46,7 +47,7 @@ class Truth:
             return False
         if kind == BLANK:
             return nearest(decision.pose, self.objects)[1] <= SAME_PLACE
-        return nearest(decision.pose, [item for item in self.objects if item[0] == kind])[1] > SAME_PLACE
+        return nearest(decision.pose, [item for item in self.objects if item.kind == kind])[1] > SAME_PLACE
 
 
 NO_TRUTH = Truth()
@@ -65,22 +66,25 @@ class Score(NamedTuple):
     false_claims: int
 
 
-def nearest(pose: np.ndarray, objects: Sequence[TrueObject]) -> Tuple[str, float]:
-    """Return the kind of the object nearest to a pose (3,) and its distance [m]; "" and infinity without objects."""
-    distances = [(math.hypot(pose[0] - x, pose[1] - y), kind) for kind, x, y in objects]
-    distance, kind = min(distances, default=(math.inf, ""))
-    return kind, distance
+def nearest(pose: np.ndarray, objects: Sequence[TrueObject]) -> Tuple[Optional[TrueObject], float]:
+    """Return the object nearest to a pose (3,) and its distance [m]; None and infinity without objects."""
+
+    def distance(item: TrueObject) -> float:
+        return math.hypot(pose[0] - item.x, pose[1] - item.y)
+
+    found = min(objects, key=distance, default=None)
+    return found, math.inf if found is None else distance(found)
 
 
 def true_kinds(found: FingerprintSet, objects: Sequence[TrueObject]) -> Dict[str, str]:
     """Return the true kind of each fingerprint by name: that of the object at its centre, BLANK, or ""."""
     kinds = {}
     for item in found.fingerprints:
-        kind, distance = nearest(item.centre, objects)
+        standing, distance = nearest(item.centre, objects)
         if item.kind == BLANK:
             kinds[item.name] = BLANK if distance > SAME_PLACE else ""
         else:
-            kinds[item.name] = kind if distance <= SAME_PLACE else ""
+            kinds[item.name] = standing.kind if standing and distance <= SAME_PLACE else ""
     return kinds
 
 
@@ -90,8 +94,8 @@ def score(decisions: Sequence[Decision], truth: Truth) -> Score:
     for (session, fingerprint), kind in truth.kinds.items():
         claims = [item for item in decisions_about(decisions, session, fingerprint) if item.found]
         false_claims += sum(map(truth.is_false_claim, claims))
-        for _, x, y in [item for item in truth.objects if item[0] == kind]:
-            distance = min((math.hypot(c.pose[0] - x, c.pose[1] - y) for c in claims), default=math.inf)
+        for instance in [item for item in truth.objects if item.kind == kind]:
+            distance = min((nearest(claim.pose, [instance])[1] for claim in claims), default=math.inf)
             instances += 1
             if distance <= SAME_PLACE:
                 hits += 1

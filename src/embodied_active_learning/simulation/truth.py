@@ -8,7 +8,7 @@ from embodied_active_learning.config import SIMULATED, Config
 from embodied_active_learning.errors import WorldError
 from embodied_active_learning.objects.fingerprint import FingerprintSet
 from embodied_active_learning.objects.scoring import TrueObject, Truth, true_kinds
-from embodied_active_learning.simulation.world import load_world
+from embodied_active_learning.simulation.world import World, load_world
 
 
 def true_objects(config: Config) -> List[TrueObject]:
@@ -20,7 +20,12 @@ def true_objects(config: Config) -> List[TrueObject]:
     if config.arm.robot != SIMULATED:
         return []
     world = load_world(config.simulation.world, config.workspace.box())
-    return [TrueObject(item.kind, float(item.position[0]), float(item.position[1])) for item in world.objects]
+    return objects_of(world)
+
+
+def objects_of(world: World) -> List[TrueObject]:
+    """Return the objects of a world."""
+    return [TrueObject(item.name, item.kind, *map(float, item.position[:2])) for item in world.objects]
 
 
 def true_scene(config: Config, sets: Sequence[FingerprintSet] = ()) -> Truth:

@@ -5,7 +5,6 @@ Records hold no path of a computer, so that they can be committed and compared w
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 from dataclasses import dataclass
@@ -48,7 +47,8 @@ class FoundObject:
         kind: object or blank.
         x: Place of the centre [m].
         y: Place of the centre [m].
-        nearest: Kind of the nearest true object; empty if the truth is not known.
+        nearest: Name of the nearest true object in the world file; empty if the truth is not known. Older records
+            have its kind.
         distance: Distance to it [m].
     """
 
@@ -201,9 +201,10 @@ def _cluster(session: Session) -> Tuple[float, Tuple[FoundObject, ...]]:
     truth = true_scene(session.config).objects
     objects = []
     for cluster in clustering.clusters:
-        kind, distance = nearest(cluster.centre, truth)
+        item, distance = nearest(cluster.centre, truth)
         x, y = (round(float(value), 4) for value in cluster.centre[:2])
-        objects.append(FoundObject(cluster.kind, x, y, kind, round(distance, 4) if math.isfinite(distance) else None))
+        name, known = (item.name, round(distance, 4)) if item else ("", None)
+        objects.append(FoundObject(cluster.kind, x, y, name, known))
     return round(clustering.contrast, 3), tuple(objects)
 
 
