@@ -6,7 +6,7 @@
 # make figures figures and tables of docs/results.md from experiments/results, in about a minute
 # make paper   missing runs of docs/results.md and their measurements, then the figures; hours, can be interrupted;
 #              PAPER_ARGS: arguments of each sweep, SWEEPS: folder of the sessions (docs/sweeps.md)
-# make check-results  shortened experiments: a sweep, its comparison, a bound, the coverage benchmark; four to five minutes
+# make check-results  shortened experiments: a sweep, its comparison, a bound, the coverage benchmark; about two minutes
 # make bench   all benchmarks: tables and build/benchmarks.json
 .PHONY: all install build demo check test bench bench-docs figures paper check-results lint format docs clean
 
