@@ -55,20 +55,25 @@ def test_table_has_totals_beside_those_of_the_paper():
 
 
 def test_model_is_measured_by_both_rules(monkeypatch):
-    """In its own environment, both rules find the duck; only the ranked rule claims a second place."""
+    """The duck is found by views; the plant's place has a higher belief."""
     duck, plant = table1.true_objects(config_of("diagonal"))
     kinds = [Fake("object-1", duck), Fake("blank-1", TrueObject("blank", "blank", 0.5, 0.0))]
     monkeypatch.setattr(table1, "ensure_fingerprints", lambda session: SimpleNamespace(fingerprints=kinds))
 
     def identify(model, images_of, images, name, overwrite, **settings):
-        right, wrong = decision("object-1", duck.x, duck.y, 0.9), decision("object-1", plant.x, plant.y, 0.8)
-        return [wrong, right] if settings == {"decision": "belief", "min_belief": 0.0} else [right]
+        assert settings["evidence"] == "counted"
+        right, wrong = decision("object-1", duck.x, duck.y, 0.8), decision("object-1", plant.x, plant.y, 0.9)
+        return [wrong, right] if settings.get("decision") == "belief" else [right]
 
     monkeypatch.setattr(table1, "identify", identify)
-    session = SimpleNamespace(name="a", config=config_of("diagonal"))
+    config = Config.from_dict({"simulation": {"world": "diagonal"}, "identification": {"evidence": "counted"}})
+    session = SimpleNamespace(name="a", config=config)
     rows = [tuple(row.values()) for row in table1.measure(session, session, 10)]
     assert rows == [
-        (rule, kind, hits, 1) for rule in ("ranked", "decided") for kind, hits in (("blank", 0), ("duck", 1))
+        ("ranked", "blank", 0, 1),
+        ("ranked", "duck", 0, 1),
+        ("decided", "blank", 0, 1),
+        ("decided", "duck", 1, 1),
     ]
 
 
