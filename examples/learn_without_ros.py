@@ -5,7 +5,6 @@ pip install . && python3 examples/learn_without_ros.py
 """
 
 import argparse
-import sys
 
 import embodied_active_learning as eal
 
@@ -13,9 +12,9 @@ import embodied_active_learning as eal
 def main(steps: int, images: int, root: str) -> None:
     """Learn, fingerprint and identify."""
     config = eal.load_config("demo", world="right", steps=steps, root=root)
-    session = eal.learn(config, show)
+    session = eal.learn(config)
     fingerprints = eal.fingerprint(session)
-    print(f"\nfingerprints: {', '.join(item.name for item in fingerprints.fingerprints)}")
+    print(f"fingerprints: {', '.join(item.name for item in fingerprints.fingerprints)}")
 
     # Images of another table: an exploration that does not train.
     other_table = eal.load_config(
@@ -26,18 +25,10 @@ def main(steps: int, images: int, root: str) -> None:
         updates_per_observation=0,
         root=root,
     )
-    other = eal.learn(other_table, show)
-    print()
+    other = eal.learn(other_table)
     for decision in eal.identify(session, images_of=other):
         x, y, theta = decision.pose
         print(f"{decision.fingerprint}: {decision.reason}; best at x {x:.3f} m, y {y:.3f} m, yaw {theta:.2f} rad")
-
-
-def show(progress) -> None:
-    """Print one line of progress."""
-    line = f"step {progress.step}/{progress.steps}, update {progress.updates}/{progress.updates_planned}"
-    sys.stdout.write(f"\r{line}, loss {progress.loss:.3f} ")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

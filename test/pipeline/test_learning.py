@@ -63,6 +63,7 @@ def test_progress_is_reported_after_each_step(learned):
     assert [report.step for report in reports[:STEPS]] == list(range(1, STEPS + 1))
     assert reports[STEPS - 1].updates_planned == 3 * STEPS
     assert reports[-1].share == pytest.approx(1.0)
+    assert reports[-1].latent_contribution <= 1.0
 
 
 def test_run_that_ends_early_is_a_shorter_run(tmp_path, monkeypatch):
@@ -85,7 +86,7 @@ def test_run_that_ends_early_is_a_shorter_run(tmp_path, monkeypatch):
     assert all(torch.equal(weights[name], expected[name]) for name in expected)
 
 
-def test_interrupted_run_is_resumed(tmp_path):
+def test_interrupted_run_is_resumed(tmp_path, capsys):
     """An exception in the callback stands for Ctrl-C."""
 
     def interrupt(progress):
@@ -99,6 +100,7 @@ def test_interrupted_run_is_resumed(tmp_path):
     recorded = load_record(tmp_path / "run").summary
     assert (recorded.finished, recorded.wall_time) == (False, interrupted.wall_time)
     session = learn(eal.load_config("", root=str(tmp_path), name="run", resume=True))
+    assert f"step 16/{STEPS}  " in capsys.readouterr().err, "progress is printed by default"
     summary = read_summary(session.paths.summary)
     assert summary.finished
     assert summary.wall_time > interrupted.wall_time > 0.0

@@ -81,7 +81,7 @@ def test_progress_is_reported(made):
 
 def test_recorded_run_is_not_repeated(copied, monkeypatch):
     """Neither with its session nor, as on another computer, without."""
-    monkeypatch.setattr(sweep_jobs, "learn", lambda config: pytest.fail("was made again"))
+    monkeypatch.setattr(sweep_jobs, "learn", lambda *arguments: pytest.fail("was made again"))
     shutil.rmtree(copied / "sessions")
     assert make_runs(jobs_of(copied), 1, str) == {}
 
@@ -110,10 +110,10 @@ def test_run_of_another_version_is_refused(copied):
         shutil.rmtree(copied / "records", ignore_errors=True)
 
 
-def test_interrupted_run_is_resumed(tmp_path, monkeypatch):
+def test_interrupted_run_is_resumed(tmp_path, monkeypatch, capsys):
     job = jobs_of(tmp_path)[0]
 
-    def interrupted(config):
+    def interrupted(config, on_progress):
         def stop(progress):
             if progress.step == 15:
                 raise KeyboardInterrupt
@@ -127,6 +127,7 @@ def test_interrupted_run_is_resumed(tmp_path, monkeypatch):
     assert job.progress().step == 15
     assert not job.complete
     job()
+    assert "step" not in capsys.readouterr().err, "the sweep reports progress itself"
     assert job.complete
     assert list(load_record(job.record).tables["exploration"]["step"]) == list(range(1, STEPS + 1))
 
@@ -163,7 +164,7 @@ def test_damaged_table_does_not_stop_the_report(copied):
 
 
 def test_diverged_run_is_recorded_as_failed(copied, monkeypatch):
-    def diverge(config):
+    def diverge(config, on_progress):
         raise DivergenceError("too large")
 
     shutil.rmtree(copied / "records")

@@ -28,7 +28,7 @@ from embodied_active_learning.pipeline.exploration import (
     exploration_row,
     first_command,
 )
-from embodied_active_learning.pipeline.progress import Progress
+from embodied_active_learning.pipeline.progress import Progress, ProgressPrinter
 from embodied_active_learning.pipeline.training import TrainingRun
 from embodied_active_learning.session.conclusion import conclude_launch
 from embodied_active_learning.session.session import Session
@@ -50,7 +50,8 @@ def learn(config: Config, on_progress: Optional[ProgressCallback] = None) -> Ses
 
     Args:
         config: Configuration of a new session, as load_config returns it.
-        on_progress: Called after each step, and regularly while the last updates are made.
+        on_progress: Called after each step, and regularly while the last updates are made. Default: print a line to
+            stderr every 30 s; `lambda progress: None` prints nothing.
 
     Returns:
         The finished session, open for reading.
@@ -70,7 +71,7 @@ def learn(config: Config, on_progress: Optional[ProgressCallback] = None) -> Ses
         training = BackgroundTraining(config)
         folder = training.run.folder
         with _summary(folder, started_at), training:
-            _explore(config, simulation, training, on_progress or (lambda progress: None))
+            _explore(config, simulation, training, on_progress or ProgressPrinter())
     return Session.open_read_only(folder)
 
 
@@ -227,5 +228,6 @@ def _progress(training: BackgroundTraining, ergodic_measure: float) -> Progress:
         active_units=float("nan") if report is None else report.active_units,
         latent_size=config.model.latent_size,
         ergodic_measure=ergodic_measure,
+        latent_contribution=training.run.latent_contribution,
         stopping="" if check is None else check.describe(),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from embodied_active_learning.session.summary import Summary
 
 _STANDSTILL = 15.0
 """Seconds without progress after which a run counts as paused or held."""
+_PRINT_PERIOD = 30.0
+"""Seconds between printed progress lines."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,8 @@ class Progress:
     active_units: float = math.nan
     latent_size: int = 0
     ergodic_measure: float = math.nan
+    latent_contribution: float = math.nan
+    """Share of the reconstruction error that the latent removes, at the newest evaluation."""
     stopping: str = ""
     """How far the stopping criterion is; empty if the number of steps is fixed."""
     paused_by: str = ""
@@ -72,16 +77,32 @@ class ProgressLine:
         """Return the line for the current progress."""
         # The stopping criterion may end the run earlier.
         left = f"left {'at most ' if progress.stopping else ''}{duration(self._left.estimate(progress.share))}"
+        known = math.isfinite(progress.latent_contribution) and not progress.stopping  # which contains it
+        latent = f"latent {100.0 * progress.latent_contribution:.0f} %" if known else ""
         parts = [
             f"step {progress.step}/{progress.steps}",
             f"updates {progress.updates}/{progress.updates_planned}",
             f"loss {_number(progress.loss, '.3f')}",
             f"active units {_number(progress.active_units, '.0f')}/{progress.latent_size}",
             f"ergodic measure {_number(progress.ergodic_measure, '.3f')}",
+            latent,
             f"paused by {progress.paused_by}" if progress.paused_by else left,
             progress.stopping,
         ]
         return "  ".join(part for part in parts if part)
+
+
+class ProgressPrinter:
+    """Prints the progress line to stderr, at first at once and then every 30 s."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._due, self._line = clock, -math.inf, ProgressLine(clock)
+
+    def __call__(self, progress: Progress) -> None:
+        """Print the line if it is due."""
+        if self._clock() >= self._due:
+            self._due = self._clock() + _PRINT_PERIOD
+            print(self._line.describe(progress), file=sys.stderr, flush=True)  # noqa: T201 - default of learn
 
 
 def duration(seconds: float) -> str:

@@ -58,6 +58,8 @@ class TrainingRun:
             self._saved: Optional[Path] = None
             self._checkpoints = RunCheckpoints(self._session.paths, config.training.checkpoints_kept)
             self._complete = False
+            self.latent_contribution = float("nan")
+            """Share of the reconstruction error that the latent removes, at the newest evaluation; NaN before it."""
             self._early_stop = EarlyStop(config) if config.may_stop_early else None
             self._restore()
             self._refreshed = self._learner.replicas.updates  # updates of the newest replica
@@ -319,6 +321,7 @@ class TrainingRun:
         if not to_check and not to_record:
             return False
         evaluation = self._learner.evaluate()
+        self.latent_contribution = evaluation.errors.latent_contribution
         if to_record:
             self._tables["evaluation"].append(evaluation)
         if early_stop is None or not to_check:

@@ -92,7 +92,7 @@ class Job:
             return f"{self.run.name}: already completed"
         config, failure = self._config(), ""
         try:
-            session = learn(config)
+            session = learn(config, lambda progress: None)  # the sweep reports all runs in one line
         except DivergenceError as error:
             session, failure = Session.open_read_only(self.session), str(error)
         wall_time = read_summary(session.paths.summary).wall_time
