@@ -26,9 +26,12 @@ RESERVED = {
     "_2": "first set, scenes 2 to 6, version 2",
     "_3": "second set, scenes 0 to 4, version 3",
     "_4": "second set, scenes 5 to 9, version 4",
-    "_5": "second set, scenes 10 to 14, version 5 (present)",
+    "_5": "second set, scenes 10 to 14, version 5",
+    "_6": "third set, scenes 15 to 24, version 6 (present)",
 }
 """Evaluations on reserved objects and tables, by the end of their file's name."""
+RESERVED_LENGTHS = {"reserved_6_300": "after 300 steps", "reserved_6": "after 1000 steps"}
+"""Evaluations of the models of the third set of reserved worlds in the same scenes, by file."""
 MODEL_LENGTHS = {
     "at_stop": "by the criterion (214 to 314 steps)",
     "after_300": "after 300 steps",
@@ -53,6 +56,8 @@ def draw_identification() -> None:
     draw_outcomes("identification_reserved", conditions)
     evaluations = {text: verified(f"reserved{name}") for name, text in RESERVED.items()}
     replace_block(PAGE, "reserved_evaluations", outcome_table("evaluation", evaluations))
+    lengths = {text: verified(name) for name, text in RESERVED_LENGTHS.items()}
+    replace_block(PAGE, "reserved_lengths", outcome_table("learning ended", lengths))
     by_rule = group_by(identification_rows("learned"), "rule")
     rules = dict(sorted(by_rule.items(), key=lambda item: -hit_share(outcome(item[1]))))
     replace_block(PAGE, "rules", outcome_table("rule", rules))

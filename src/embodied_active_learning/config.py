@@ -197,7 +197,7 @@ class FingerprintConfig:
     samples: int = setting(1000, "importance samples of the conditional entropy", "", 50, 100000)
     exponent: float = setting(3.0, "exponent of the standard deviation in the sample weights", "", 0.1, 20.0)
     bandwidth: float = setting(0.045, "bandwidth of mean-shift clustering", "m", 0.005, 0.5)
-    min_share: float = setting(0.02, "smallest share of the clustered points in an object's cluster", "", 0.0, 1.0)
+    min_share: float = setting(0.005, "smallest share of the clustered points in an object's cluster", "", 0.0, 1.0)
     merge_distance: float = setting(0.05, "distance below which two centres are merged", "m", 0.0, 0.5)
     prints: bool = setting(False, "whether things in the plane of the table, such as prints and cards, are objects")
     min_contrast: float = setting(
