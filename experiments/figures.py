@@ -44,6 +44,8 @@ RESULTS, PAGE = EXPERIMENTS / "results", EXPERIMENTS.parent / "docs" / "results.
 IMAGES = PAGE.parent / "images" / "results"
 LISTED_STEPS = (100, 300, 1000)
 """Columns of the tables about ergodicity; its figure shows more."""
+PLANNED_MODELS = {"default": 20, "paper": 4}
+"""Number of models of Table 1 by profile."""
 MEASURES = {
     "ergodic measure [nat]": final_ergodic_measure,
     "below 0.2 nat from step": stays_below("exploration", "ergodic_measure", 0.2),
@@ -164,7 +166,7 @@ def table1() -> None:
             count = len({row["model"] for row in chosen})
             name = "paper" if profile == "paper" else "default"
             lines += [
-                f"Profile: {name}; images: {images}; rule: {rule}; models: {count}.",
+                f"Profile: {name}; images: {images}; rule: {rule}; models: {count} of {PLANNED_MODELS[name]}.",
                 "",
                 *markdown(header, cells),
                 "",

@@ -116,6 +116,7 @@ class Evaluation:
 
     def _decisions(self, stream: Stream, scene: ObservedScene, world: World) -> Iterator[Tuple[str, List[Decision]]]:
         """The decisions of each rule."""
+        self.search.reset()
         rates = {f"verified, error rate {rate:g}": rate for rate in self._error_rates}
         for name, rate in {"verified": self._settings.error_rate, **rates}.items():
             yield name, decide(self.search, replace(self._settings, error_rate=rate), scene)

@@ -26,5 +26,5 @@ def test_minor_ticks_of_log_axis_have_small_labels():
     axes.plot([0.2, 0.9])
     axes.set_yscale("log")
     style_axes(axes)
-    axes.figure.draw_without_rendering()
+    axes.figure.canvas.draw()
     assert {text.get_size() for text in axes.get_yminorticklabels() if text.get_text()} == {SMALL}

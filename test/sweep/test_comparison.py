@@ -82,9 +82,10 @@ def test_clustering_settings_that_differ_are_named():
     config = Config.from_dict({"fingerprint": {"min_share": 0.05}})
     changed = replace(RECORDS[0], config=config)
     setting = "Objects were clustered with `fingerprint/min_share`"
-    assert clustering_settings([changed, changed]) == f"{setting} 0.05 (default 0.02)."
-    both = "0.05 (1 of 3 runs), 0.02 (2 of 3 runs)"
-    assert clustering_settings([changed, *RECORDS[1:]]) == f"{setting} {both} (default 0.02)."
+    default = Config().fingerprint.min_share
+    assert clustering_settings([changed, changed]) == f"{setting} 0.05 (default {default})."
+    both = f"0.05 (1 of 3 runs), {default} (2 of 3 runs)"
+    assert clustering_settings([changed, *RECORDS[1:]]) == f"{setting} {both} (default {default})."
 
 
 def test_unknown_key_is_refused():

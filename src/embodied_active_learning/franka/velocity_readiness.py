@@ -48,7 +48,7 @@ def why_not_ready(readiness: Readiness, config: FrankaConfig) -> str:
     if condition is Condition.RECOVERY_REQUIRED:
         return (
             f"{readiness.held_for}: remove the cause, clear a reflex (rostopic pub -1 "
-            "franka_control/error_recovery/goal franka_msgs/ErrorRecoveryActionGoal '{}'), then call "
+            "/franka_control/error_recovery/goal franka_msgs/ErrorRecoveryActionGoal '{}'), then call "
             f"{readiness.recovery_service}"
         )
     if condition is Condition.NO_SET_POINTS:

@@ -117,11 +117,11 @@ class Table:
             self._cut(whole)
             if not whole:
                 self._write(",".join(self.columns))
+            elif _columns_of(content, self.columns) != self.columns:
+                self._rewrite(rows)
         except BaseException:
             self.close()
             raise
-        if whole and _columns_of(content, self.columns) != self.columns:
-            self._rewrite(rows)
 
     def _rewrite(self, rows: Sequence[Sequence[str]]) -> None:
         """Replace the file by a header and rows, and open the new one."""

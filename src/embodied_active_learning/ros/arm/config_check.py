@@ -15,7 +15,7 @@ PERIOD = 2.0
 """Wall seconds between two checks of the system's configuration."""
 SHARED = ("workspace", "camera", "arm", "franka")
 """Sections that describe the arm and its camera: they must be the same for the arm and for its commander."""
-COMMANDER_ONLY = ("arm/retries", "camera/allow_featureless")
+COMMANDER_ONLY = ("arm/retries",)
 """Settings in these sections that the arm's node does not read."""
 
 
