@@ -93,7 +93,7 @@ class ProgressLine:
 
 
 class ProgressPrinter:
-    """Prints the progress line to stderr, at first at once and then every 30 s."""
+    """Prints the progress line to stderr, at once and then every 30 s."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._due, self._line = clock, -math.inf, ProgressLine(clock)

@@ -192,7 +192,9 @@ def _rows(path: Path, content: bytes, columns: Sequence[str]) -> List[List[str]]
     for number, line in enumerate(lines[1:], start=2):
         if len(line) != count or not all(_is_number(value) for value in line):
             raise CorruptFileError(f"{path}: line {number} is {short_repr(line)}, expected {count} numbers: delete it")
-    return [[dict(zip(names, line)).get(name, "") for name in columns] for line in lines[1:]]
+    if names == tuple(columns):
+        return lines[1:]
+    return [[line[names.index(name)] if name in names else "" for name in columns] for line in lines[1:]]
 
 
 def _text(value: Any) -> str:
