@@ -1,5 +1,6 @@
 """Arbitration of the arm: one commander at a time, stops, recoveries and expiry."""
 
+import threading
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -106,6 +107,28 @@ def test_stop_during_command_releases_control_after_command():
     thread.join(10.0)
     assert stopped
     assert arbiter.commander == ""
+
+
+def test_command_that_waits_for_own_stop_keeps_control():
+    arbiter = ArmArbiter(5.0, Clock())
+    started, finish = threading.Event(), threading.Event()
+
+    def command():
+        with arbiter.command(request("/ergodic_planner")):
+            started.set()
+            finish.wait(10.0)
+
+    with arbiter.command(request("/ergodic_planner")):
+        pass
+    with arbiter.stop(request("/ergodic_planner")):
+        thread = in_a_thread(command)
+        wait_for(lambda: arbiter._busy)
+        assert not started.is_set()
+    assert started.wait(10.0)
+    finish.set()
+    thread.join(10.0)
+    arbiter.heartbeat(request("/ergodic_planner"))
+    assert arbiter.commander == "/ergodic_planner"
 
 
 def test_waiting_command_is_rejected_after_stop():

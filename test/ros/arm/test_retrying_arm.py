@@ -1,5 +1,6 @@
 """Retries, timeouts and pauses of the arm client, with an arm and a camera that fail on demand; no ROS master."""
 
+import contextlib
 import threading
 from types import SimpleNamespace
 
@@ -447,6 +448,25 @@ def test_cancel_stops_command_in_progress_without_retry(monkeypatch, camera):
         retrying.go_to((0.4, 0.1, 1.0))
     cancelling.join(10.0)
     assert arm.calls == [("go_to", 0.4, 0.1, 1.0), ("stop",)]
+
+
+def test_cancel_and_stop_at_once_are_one_stop(simulated):
+    """The second of two stops would come from a node without control, which is an emergency stop."""
+    retrying = retrying_arm.RetryingArm(Config())
+    retrying.execute(FORWARD)
+    both, ask = threading.Barrier(2), simulated.heartbeat
+
+    def heartbeat():
+        granted = ask()
+        with contextlib.suppress(threading.BrokenBarrierError):  # the other one has not asked
+            both.wait(0.2)
+        return granted
+
+    simulated.heartbeat = heartbeat
+    cancelling = in_a_thread(retrying.cancel)
+    retrying.stop()
+    cancelling.join(10.0)
+    assert (simulated.calls.count(("stop",)), simulated.emergency_stops) == (1, 0)
 
 
 def test_pause_suspends_retries(arm, camera, retrying, paused):

@@ -62,6 +62,7 @@ class ArmArbiter:
             with self._motion_lock:
                 with self._lock:
                     self._require_not_stopped()  # again: no motion after an earlier stop was confirmed
+                    self._has_lease = True  # which the commander's own stop ends if this command waits for it
                 yield signal
         finally:
             with self._lock:
@@ -144,8 +145,8 @@ class ArmArbiter:
             self._stop_signal.set(caller)
         with self._motion_lock:
             yield needs_recovery
-        with self._lock:
-            self._has_lease = False
+            with self._lock:
+                self._has_lease = False
 
     @contextmanager
     def recovery(self) -> Iterator[None]:

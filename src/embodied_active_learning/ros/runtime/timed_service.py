@@ -106,6 +106,7 @@ def interrupt_late_calls() -> None:
     """Interrupt the calls whose deadline has passed."""
     now = time.monotonic()
     with _lock:
-        late = [service for service, deadline in _deadlines.items() if now >= deadline]
-    for service in late:
-        service.interrupt()
+        # Under the lock: the call could end meanwhile, and the next one on its connection would be interrupted.
+        for service, deadline in _deadlines.items():
+            if now >= deadline:
+                service.interrupt()
