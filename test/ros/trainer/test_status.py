@@ -26,7 +26,9 @@ def make_check(drifts):
 def run(tmp_path):
     """A training run with 80 observations that has made 10 of 48 updates due."""
     values = {"observations": 80, "updates": 10, "updates_due": 48, "skipped": 0, "rollbacks": 0, "finished": False}
-    return SimpleNamespace(folder=tmp_path, config=CONFIG, stop_check=None, pool=None, **values)
+    run = SimpleNamespace(folder=tmp_path, config=CONFIG, stop_check=None, pool=None, **values)
+    run.latent_contribution = 0.25
+    return run
 
 
 @pytest.fixture
@@ -51,6 +53,7 @@ def test_message_before_first_update_has_nan_losses(status):
     [message] = status.messages
     assert (message.observations, message.updates, message.updates_due, message.finished) == (80, 10, 48, False)
     assert message.loss != message.loss
+    assert message.latent_contribution == 0.25
 
 
 def test_message_shows_the_stopping_criterion(status, run):

@@ -22,6 +22,7 @@ def progress_of(status: TrainingStatus, ergodic_measure: float, paused_by: str) 
         loss=status.loss,
         active_units=status.active_units,
         latent_size=status.latent_size,
+        latent_contribution=status.latent_contribution,
         ergodic_measure=ergodic_measure,
         stopping=status.stopping,
         paused_by=paused_by,

@@ -72,6 +72,7 @@ class TrainerStatus:
                 stopping="" if check is None else check.describe(),
                 updates_per_second=self._updates.per_second,
                 latent_size=self._config.model.latent_size,
+                latent_contribution=self._run.latent_contribution,
                 finished=self._run.finished,
                 session=str(self._run.folder),
             )
