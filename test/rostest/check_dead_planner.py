@@ -105,6 +105,7 @@ class DeadPlannerTest(unittest.TestCase):
     def test_arm_stops_if_planner_hangs_and_is_commanded_again(self):
         self.planner.freeze()
         self.addCleanup(self.planner.thaw)
+        threading.Event().wait(1.0)  # until the states on their way have arrived
         since = len(self.states) - 1
         self.check_another_node_is_rejected()
         self.check_arm_stops(since)

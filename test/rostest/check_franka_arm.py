@@ -29,9 +29,9 @@ OPERATOR = {"callerid": "/operator"}
 
 
 class Move:
-    """A move in a thread, and its response."""
+    """A move in a thread, and its response. It lasts longer than it takes a busy machine to cause a fault."""
 
-    def __init__(self, service, velocity=(0.05, 0.0, 0.0), duration=1.0):
+    def __init__(self, service, velocity=(0.02, 0.0, 0.0), duration=5.0):
         self.response = None
         self._thread = in_a_thread(self._run, service, (*velocity, duration))
 
@@ -54,7 +54,6 @@ class FrankaArmTest(unittest.TestCase):
         rospy.Subscriber("/diagnostics", DiagnosticArray, cls.on_diagnostics)
         cls.move = rospy.ServiceProxy("arm/move", MoveArm)
         cls.go_to = rospy.ServiceProxy("arm/go_to", GoToPose)
-        cls.stop = rospy.ServiceProxy("arm/stop", Trigger)
         cls.operator_stops = rospy.ServiceProxy("arm/stop", Trigger, headers=OPERATOR)
         cls.recover = rospy.ServiceProxy("arm/recover", Trigger)
         rospy.wait_for_service("fake_franka/truth", TIMEOUT)
@@ -64,8 +63,8 @@ class FrankaArmTest(unittest.TestCase):
     @classmethod
     def tearDownClass(cls):
         """Check that the node brakes the arm when it is shut down during a move."""
-        in_a_thread(cls.move, 0.05, 0.0, 0.0, 1.0)
-        wait_for(lambda: cls.states[-1].vx > 0.02, 0.01, TIMEOUT)
+        Move(cls.move)
+        wait_for(lambda: cls.states[-1].vx > 0.01, 0.01, TIMEOUT)
         assert cls.arm.end() == 0
         assert cls.truth()["speed"] < 0.02
 
@@ -77,7 +76,7 @@ class FrankaArmTest(unittest.TestCase):
         for switch in ("user_stop", "silence_states", "silence_everything", "hang_controller_manager"):
             self.switch(switch, False)
         self.is_recovered()
-        self.until(lambda: self.states)
+        self.until(lambda: self.states and abs(self.states[-1].vx) < 5e-3)
         if abs(self.states[-1].x - CENTRE[0]) > 0.04:
             response = self.go_to(*CENTRE)
             self.assertTrue(response.success, response.message)
@@ -122,11 +121,11 @@ class FrankaArmTest(unittest.TestCase):
         responses = []
         self.until(lambda: responses.append(self.recover()) or responses[-1].success)
 
-    def moving(self, duration=1.0, **headers):
+    def moving(self, **headers):
         """Start a move and wait until the arm moves."""
         service = rospy.ServiceProxy("arm/move", MoveArm, headers=headers) if headers else self.move
-        move = Move(service, duration=duration)
-        self.until(lambda: self.states and self.states[-1].vx > 0.02)
+        move = Move(service)
+        self.until(lambda: self.states and self.states[-1].vx > 0.01)
         return move
 
     def takes_commands(self):
@@ -150,7 +149,7 @@ class FrankaArmTest(unittest.TestCase):
         self.assertIn("stopped by /operator", move.response.message)
         self.assertEqual(self.move(0.05, 0.0, 0.0, 0.2).cause, ArmCause.STOPPED)
         self.is_recovered()
-        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+        self.takes_commands()
 
     def test_reflex_aborts_move_and_arm_recovers_automatically(self):
         move = self.moving()
@@ -158,7 +157,7 @@ class FrankaArmTest(unittest.TestCase):
         self.assertEqual(move.wait().cause, ArmCause.FAILED)
         self.assertIn("cartesian_reflex", move.response.message)
         responses = self.takes_commands()
-        self.assertEqual({response.cause for response in responses[:-1]}, {ArmCause.BUSY})
+        self.assertLessEqual({response.cause for response in responses[:-1]}, {ArmCause.BUSY, ArmCause.FAILED})
         truth = self.truth()
         self.assertEqual(truth["recoveries"], 1)
         self.assertEqual(truth["reflexes"], 1, "an earlier set-point has moved the arm")
@@ -173,7 +172,7 @@ class FrankaArmTest(unittest.TestCase):
         self.assertIn("after 1 consecutive recoveries", response.message)
         self.assertIn("manual error recovery required", response.message)
         self.assertEqual(self.truth()["recoveries"], 0)
-        self.assertTrue(self.recover().success)
+        self.is_recovered()
 
     def test_user_stop_needs_recovery_by_a_person(self):
         move = self.moving()
@@ -186,12 +185,11 @@ class FrankaArmTest(unittest.TestCase):
         self.until(lambda: "user stop was pressed and has been released" in self.move(0.0, 0.0, 0.0, 0.1).message)
         truth = self.truth()
         self.assertEqual((truth["recoveries"], truth["speed"]), (0, 0.0))
-        response = self.recover()
-        self.assertTrue(response.success, response.message)
-        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+        self.is_recovered()
+        self.takes_commands()
 
     def test_stale_states_hold_arm_until_they_return(self):
-        move = self.moving(duration=1.0)
+        move = self.moving()
         self.switch("silence_states", True)
         self.assertEqual(move.wait().cause, ArmCause.FAILED)
         self.assertIn("no new robot state", move.response.message)
@@ -223,8 +221,8 @@ class FrankaArmTest(unittest.TestCase):
         self.assertIn(f"another controller moves the robot: {OTHER}", response.message)
         self.assertTrue(self.controllers("switch", [], [OTHER], 2, False, 0.0), "another node has stopped it")
         self.until(lambda: "the requested recovery failed" in self.move(0.0, 0.0, 0.0, 0.1).message)
-        self.assertTrue(self.recover().success)
-        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+        self.is_recovered()
+        self.takes_commands()
 
     def test_hanging_controller_manager_holds_arm(self):
         self.switch("hang_controller_manager", True)
@@ -242,9 +240,8 @@ class FrankaArmTest(unittest.TestCase):
         self.moving()
         self.trigger("restart_franka_control")
         self.until(lambda: self.move(0.0, 0.0, 0.0, 0.1).cause == ArmCause.STOPPED)
-        response = self.recover()
-        self.assertTrue(response.success, response.message)
-        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
+        self.is_recovered()
+        self.takes_commands()
         self.assertEqual(self.truth()["stiffness"], [200.0, 30.0])
 
     def reload_controller(self):
@@ -283,7 +280,7 @@ class FrankaArmTest(unittest.TestCase):
         self.assertTrue(rospy.ServiceProxy("franka_control/set_load", SetLoad)(0.5, [0.0] * 3, [0.0] * 9).success)
         self.assertEqual(self.truth()["load"], 0.5)
         self.until(lambda: "was stopped by another node" in self.move(0.0, 0.0, 0.0, 0.1).message)
-        self.assertTrue(self.recover().success)
+        self.is_recovered()
         self.assertEqual(self.truth()["load"], 0.0)
 
     def test_other_publisher_of_set_points_is_reported(self):
@@ -294,21 +291,21 @@ class FrankaArmTest(unittest.TestCase):
 
     def test_arm_stops_when_commander_falls_silent(self):
         dead = rospy.ServiceProxy("arm/move", MoveArm, headers={"callerid": "/dead"})
-        self.assertTrue(self.stop().success)
-        self.assertTrue(dead(0.1, 0.0, 0.0, 0.2).success)
+        self.operator_stops()  # ends the control of this node
+        self.is_recovered()
+        self.until(lambda: dead(0.1, 0.0, 0.0, 0.2).success)
         self.assertLess(self.stands_still()["travelled"], 0.1)
         self.takes_commands()
 
     def test_killed_node_leaves_arm_at_rest_and_restarts(self):
         self.operator_stops()
         self.is_recovered()
-        self.moving(duration=1.0, callerid="/somebody")
+        self.moving(callerid="/somebody")
         self.arm.kill()
         self.stands_still()
         self.assertEqual(self.truth()["reflexes"], 0)
         type(self).arm = NodeProcess("franka_arm")
         self.takes_commands_anew()
-        self.assertTrue(self.move(0.05, 0.0, 0.0, 0.2).success)
 
     def takes_commands_anew(self):
         def tried():

@@ -178,9 +178,9 @@ class LearnTest(unittest.TestCase):
                 break
             waiting.wait(0.2)
         session = Session.open_read_only(path)
-        assert len(session.open_observations()) == 60
-        assert session.read_table("training")["update"].tolist() == list(range(1, 61))
-        assert session.read_table("exploration")["step"].tolist() == list(range(1, 61))
+        assert len(session.open_observations()) == 150
+        assert session.read_table("training")["update"].tolist() == list(range(1, 151))
+        assert session.read_table("exploration")["step"].tolist() == list(range(1, 151))
         assert read_summary(summary).finished
         assert session.paths.model.exists()
         assert [file.name for file in figures if not file.exists()] == []

@@ -3,6 +3,7 @@
 
 import threading
 import unittest
+from collections import defaultdict
 
 import numpy as np
 import rospy
@@ -39,7 +40,7 @@ class FaultyArm:
         self._reached_at = rospy.Time.now()
         self._lock = threading.Lock()
         self._images = rospy.Publisher("camera/image_raw", Image, queue_size=1)
-        self._states = rospy.Publisher("arm/state", PlanarState, queue_size=1)
+        self._states = rospy.Publisher("arm/state", PlanarState, queue_size=100)
         rospy.Service("arm/move", MoveArm, self.move)
         rospy.Service("arm/go_to", GoToPose, self.go_to)
         rospy.Service("arm/heartbeat", Trigger, lambda _request: TriggerResponse(True, ""))
@@ -115,7 +116,7 @@ def pose_seen(image):
 class PlannerFaultsTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.health = {}
+        cls.health = defaultdict(DiagnosticStatus)  # of no report before the first
         cls.last = Observation(index=0)
         cls.residual = 0.0
         rospy.Subscriber("/diagnostics", DiagnosticArray, cls.on_diagnostics)
@@ -165,8 +166,11 @@ class PlannerFaultsTest(unittest.TestCase):
         self.wait_for_progress()
 
     def wait_for_words(self, words):
-        self.wait_for(lambda: words in self.health["planner"].message, f"{words!r} was not reported")
-        self.assertEqual(self.health["planner"].level, DiagnosticStatus.ERROR)
+        def is_reported():
+            status = self.health["planner"]
+            return words in status.message and status.level == DiagnosticStatus.ERROR
+
+        self.wait_for(is_reported, f"{words!r} was not reported")
 
     def test_silent_camera(self):
         self.check_fault("camera is silent", "camera timeout: no new image on /camera/image_raw")

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 import rostest
 from embodied_active_learning.ros.conversions import image_array, state_arrays
 
-TIMEOUT = 30.0
+TIMEOUT = 120.0
 
 
 class PyBulletArmTest(unittest.TestCase):

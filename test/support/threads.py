@@ -11,7 +11,7 @@ def in_a_thread(function, *arguments):
     return thread
 
 
-def wait_for(condition, period=0.002, timeout=10.0, failure=lambda: "timeout"):
+def wait_for(condition, period=0.002, timeout=60.0, failure=lambda: "timeout"):
     """Return once a condition holds, checked every `period` seconds; after `timeout` seconds fail with failure()."""
     ends_at = time.monotonic() + timeout
     while not condition():

