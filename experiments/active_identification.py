@@ -59,14 +59,16 @@ def main() -> None:
     parser.add_argument("--output", required=True, type=Path)
     parser.add_argument("--conditions", nargs="*", default=["learned table", "other table", "all"], choices=CONDITIONS)
     parser.add_argument("--scenes", type=int, default=4, help="scenes of each condition")
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
+    parser.add_argument("--reserved", action="store_true", help="use the reserved objects and tables")
     parser.add_argument("--images", type=int, default=1000, help="largest number of images")
     options = parser.parse_args()
     torch.set_num_threads(1)
     path = options.output / "results.csv"
     done = {(row["condition"], int(row["scene"]), row["explorer"]) for row in read_rows(path, missing_ok=True)}
-    evaluation = Evaluation(options.sessions)
+    evaluation = Evaluation(options.sessions, reserved=options.reserved)
     for condition in options.conditions:
-        for scene in range(options.scenes):
+        for scene in range(options.first, options.first + options.scenes):
             for explorer in EXPLORERS:
                 if (condition, scene, explorer) not in done:
                     row = run(evaluation, condition, scene, explorer, options.images)

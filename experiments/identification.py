@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Iterator, List, Sequence, Tuple
 
@@ -89,7 +90,7 @@ class Evaluation:
         """
         self._settings = IdentificationConfig()
         self._error_rates, self._decision_only = error_rates, decision_only
-        sets = [load_fingerprints(path) for path in sessions]
+        self._sets = sets = [load_fingerprints(path) for path in sessions]
         self.config = sets[0].config
         self._box = self.config.workspace.box()
         worlds = {item.session: load_world(item.config.simulation.world, self._box) for item in sets}
@@ -100,9 +101,13 @@ class Evaluation:
             for name, kind in true_kinds(item, objects_of(worlds[item.session])).items()
         }
         self.search = Identification(sets, self._box, self.config.camera, self._settings)
-        pixels = replace(self._settings, features=PIXELS)
-        self._by_pixels = Identification(sets, self._box, self.config.camera, pixels)
         self._baselines = {name: BASELINES[name](self.config.camera) for name in baselines}
+
+    @cached_property
+    def _search_by_pixels(self) -> Identification:
+        """The search with beliefs from pixels, which few calls need."""
+        settings = replace(self._settings, features=PIXELS)
+        return Identification(self._sets, self._box, self.config.camera, settings)
 
     def run(self, place: Place, count: int) -> Iterator[Row]:
         """Search one scene in a number of images and judge each rule."""
@@ -130,7 +135,7 @@ class Evaluation:
         self, stream: Stream, scene: ObservedScene, world: World
     ) -> Iterator[Tuple[str, List[Decision]]]:
         """The decisions of each rule that uses beliefs."""
-        for features, search in ((LATENTS, self.search), (PIXELS, self._by_pixels)):
+        for features, search in ((LATENTS, self.search), (PIXELS, self._search_by_pixels)):
             search.reset()
             search.observe(stream.states, stream.images)
             for name, changes in PAPER.items():
