@@ -28,8 +28,11 @@ RESERVED = {
     "_4": "second set, scenes 5 to 9, version 4",
     "_5": "second set, scenes 10 to 14, version 5",
     "_6": "third set, scenes 15 to 24, version 6 (present)",
+    "_7": "third set, scenes 25 to 29, version 6 (present)",
 }
 """Evaluations on reserved objects and tables, by the end of their file's name."""
+RESERVED_LIMITS = {"reserved_7": "as stored places look", "reserved_7_differences": "with small random differences"}
+"""Simulated places for the limit of absence, in the same scenes, by file."""
 RESERVED_LENGTHS = {"reserved_6_300": "after 300 steps", "reserved_6": "after 1000 steps"}
 """Evaluations of the models of the third set of reserved worlds in the same scenes, by file."""
 MODEL_LENGTHS = {
@@ -58,6 +61,8 @@ def draw_identification() -> None:
     replace_block(PAGE, "reserved_evaluations", outcome_table("evaluation", evaluations))
     lengths = {text: verified(name) for name, text in RESERVED_LENGTHS.items()}
     replace_block(PAGE, "reserved_lengths", outcome_table("learning ended", lengths))
+    limits = {text: verified(name) for name, text in RESERVED_LIMITS.items()}
+    replace_block(PAGE, "reserved_limits", outcome_table("limit of absence from places", limits))
     by_rule = group_by(identification_rows("learned"), "rule")
     rules = dict(sorted(by_rule.items(), key=lambda item: -hit_share(outcome(item[1]))))
     replace_block(PAGE, "rules", outcome_table("rule", rules))
