@@ -32,7 +32,7 @@ RESERVED = {
 }
 """Evaluations on reserved objects and tables, by the end of their file's name."""
 RESERVED_LIMITS = {"reserved_7": "as stored places look", "reserved_7_differences": "with small random differences"}
-"""Simulated places for the limit of absence, in the same scenes, by file."""
+"""Simulated places for the miss limit, in the same scenes, by file."""
 RESERVED_LENGTHS = {"reserved_6_300": "after 300 steps", "reserved_6": "after 1000 steps"}
 """Evaluations of the models of the third set of reserved worlds in the same scenes, by file."""
 MODEL_LENGTHS = {
@@ -62,7 +62,7 @@ def draw_identification() -> None:
     lengths = {text: verified(name) for name, text in RESERVED_LENGTHS.items()}
     replace_block(PAGE, "reserved_lengths", outcome_table("learning ended", lengths))
     limits = {text: verified(name) for name, text in RESERVED_LIMITS.items()}
-    replace_block(PAGE, "reserved_limits", outcome_table("limit of absence from places", limits))
+    replace_block(PAGE, "reserved_limits", outcome_table("simulated places for the miss limit", limits))
     by_rule = group_by(identification_rows("learned"), "rule")
     rules = dict(sorted(by_rule.items(), key=lambda item: -hit_share(outcome(item[1]))))
     replace_block(PAGE, "rules", outcome_table("rule", rules))

@@ -21,7 +21,7 @@ from threads import wait_for
 STOPPED = "stopped by /check_dead_planner: call /arm/recover to resume"
 TIMEOUT = 60.0
 AT_REST = np.array([1e-4, 1e-4, 1e-3])  # m/s, m/s, rad/s
-CURRENT_STEPS = 2  # the one in execution, and one whose state has not been received yet
+CURRENT_STEPS = 1  # the one in execution
 BRAKING = np.array([0.02, 0.02, 0.2])  # m, m, rad
 
 

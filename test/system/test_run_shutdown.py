@@ -129,7 +129,8 @@ def check_interrupt(run, began_at):
         assert time.monotonic() < began + LIMIT, f"{left} still running\n{run.log}"
         time.sleep(0.02)
     run.process.wait(30)
-    assert "Traceback" not in run.log
+    for words in ("Traceback", "shutdown timeout", "escalating"):
+        assert words not in run.log, run.log
     summary = read_summary(run.path / "summary.yaml")
     assert not summary.finished
     assert 0.0 < summary.wall_time < time.monotonic() - began_at

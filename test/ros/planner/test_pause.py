@@ -148,12 +148,6 @@ def test_restarted_node_ends_pause_of_its_predecessor(planner):
     assert planner.stored() == ""
 
 
-def test_pause_of_node_killed_before_it_was_noted_is_ended(planner):
-    planner.requests.add("/fingerprinter")
-    PlannerPause().resume_if_left()
-    assert not planner.is_paused
-
-
 def test_restarted_node_keeps_pause_of_others(planner):
     with PlannerPause().paused():
         pass

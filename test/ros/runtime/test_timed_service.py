@@ -100,6 +100,20 @@ def test_call_after_interruption_connects_again(servers):
     assert service.call(TriggerRequest()) == b"a"
 
 
+def test_call_after_response_at_the_deadline_connects_again(servers, monkeypatch):
+    servers.extend([b"a", b"b"])
+    receive = Proxy.__call__
+
+    def receive_late(proxy, request):
+        response = receive(proxy, request)
+        interrupt_late_calls()
+        return response
+
+    monkeypatch.setattr(Proxy, "__call__", receive_late)
+    service = TimedService("name", Trigger, 0.0)
+    assert [service.call(TriggerRequest()), service.call(TriggerRequest())] == [b"a", b"b"]
+
+
 def test_call_in_time_is_not_interrupted(servers):
     servers.append(b"ab")
     service = TimedService("name", Trigger, 60.0)

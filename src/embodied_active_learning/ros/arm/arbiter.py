@@ -62,7 +62,7 @@ class ArmArbiter:
             with self._motion_lock:
                 with self._lock:
                     self._require_not_stopped()  # again: no motion after an earlier stop was confirmed
-                    self._has_lease = True  # which the commander's own stop ends if this command waits for it
+                    self._has_lease = not signal.is_set()  # the commander's own stop may have ended it meanwhile
                 yield signal
         finally:
             with self._lock:

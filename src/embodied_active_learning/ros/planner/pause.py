@@ -24,8 +24,7 @@ class PlannerPause:
     """Pauses the planner during a block; a restarted node ends the pause of its predecessor."""
 
     def __init__(self) -> None:
-        # The parameter is stored a moment after the pause, which a node that is killed may not reach.
-        self._left_paused = bool(persistent_parameters.load(names.HAS_PAUSED_PLANNER)) or _is_paused_by_this_node()
+        self._left_paused = bool(persistent_parameters.load(names.HAS_PAUSED_PLANNER))
         self._has_paused = self._left_paused
         persistent_parameters.store(names.HAS_PAUSED_PLANNER, lambda: _PAUSED if self._has_paused else "")
 

@@ -26,22 +26,28 @@ class TimedService:
         self._name = rospy.resolve_name(name)
         self._service_class = service_class
         self._proxy: Any = None
+        self._is_interrupted = False
 
     def call(self, request: Any) -> Any:
         """Return the response to a request. Raises ServiceError if the server does not respond."""
         deadline = time.monotonic() + self.timeout
+        self._is_interrupted = False
         try:
             with _interrupted_at(deadline, self):
                 if self._proxy is None:
                     self._connect()
-                return self._proxy(request)
+                response = self._proxy(request)
         except TRANSPORT_ERRORS as error:
             reason = f"none within {self.timeout:g} s" if time.monotonic() >= deadline else str(error)
             self.close()
             raise ServiceError(f"no response from {self._name}: {reason}") from error
+        if self._is_interrupted:  # after the response had arrived: the next call would fail
+            self.close()
+        return response
 
     def interrupt(self) -> None:
         """End the call or the connection in progress with an error."""
+        self._is_interrupted = True
         interrupt_call(self._proxy)
 
     def close(self) -> None:
