@@ -8,6 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
+import embodied_active_learning as eal
 from embodied_active_learning.config import Config
 from embodied_active_learning.geometry import pose_distance
 from embodied_active_learning.objects.collection import ViewCollection
@@ -238,3 +239,13 @@ def test_collection_completes_after_interrupt():
     arm.run()
     assert arm.collection.complete
     assert np.all(WORKSPACE.contains(np.array(arm.path), 1e-9))
+
+
+def test_views_of_paper_profile_are_complete_near_border():
+    """Its planner alone can stay in a corner of the view box."""
+    config = eal.load_config("paper")
+    assert not config.planner.normalise_kernels
+    for seed, centre in enumerate(((0.533, -0.091, 0.03), (0.376, 0.107, 0.0), (0.41, -0.094, -0.05))):
+        collection = ViewCollection(config, np.array(centre), seed)
+        assert len(Arm(collection).run().path) < 2 * config.fingerprint.views * config.fingerprint.steps_per_view
+        assert collection.complete

@@ -10,7 +10,7 @@ from typing import List
 
 import numpy as np
 
-from embodied_active_learning.config import Config, FingerprintConfig, WorkspaceConfig
+from embodied_active_learning.config import Config, FingerprintConfig, PlannerConfig, WorkspaceConfig
 from embodied_active_learning.exploration.commands import VelocityCommand
 from embodied_active_learning.exploration.controller import ErgodicController
 from embodied_active_learning.exploration.ergodic_objective import normalise
@@ -126,7 +126,8 @@ def is_new_view(state: np.ndarray, kept: np.ndarray, settings: FingerprintConfig
 def _view_box_config(config: Config, centre: np.ndarray, seed: int) -> Config:
     """Return a configuration whose workspace is the view box around a centre, clipped to the real workspace.
 
-    Top speed shrinks with the box, so that a step covers the same share of this workspace as of the real one.
+    Top speed shrinks with the box, so that a step covers the same share of this workspace as of the real one. Kernels
+    are normalised and random plans compared in every profile: else the controller can stay in a corner of the box.
     """
     box, size = config.workspace.box(), config.fingerprint.view_box
     middle = box.clip(centre)
@@ -138,5 +139,6 @@ def _view_box_config(config: Config, centre: np.ndarray, seed: int) -> Config:
         workspace=workspace,
         simulation=replace(config.simulation, start=tuple(workspace.box().centre)),
         arm=replace(config.arm, max_speed=speed_ratio * config.arm.max_speed),
+        planner=replace(config.planner, normalise_kernels=True, random_candidates=PlannerConfig().random_candidates),
         exploration=replace(config.exploration, seed=seed, sample_box=1.0, kernel_variance=_KERNEL_VARIANCE),
     )
