@@ -90,7 +90,8 @@ class Evaluation:
         """
         self._settings = IdentificationConfig()
         self._error_rates, self._decision_only = error_rates, decision_only
-        self._sets = sets = [load_fingerprints(path) for path in sessions]
+        sets = [load_fingerprints(path) for path in sessions]
+        self._sets = sets
         self.config = sets[0].config
         self._box = self.config.workspace.box()
         worlds = {item.session: load_world(item.config.simulation.world, self._box) for item in sets}

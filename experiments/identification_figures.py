@@ -31,7 +31,7 @@ RESERVED = {
     "_7": "third set, scenes 25 to 29, version 6 (present)",
 }
 """Evaluations on reserved objects and tables, by the end of their file's name."""
-RESERVED_LIMITS = {"reserved_7": "as stored places look", "reserved_7_differences": "with small random differences"}
+RESERVED_LIMITS = {"reserved_7": "without random differences (used)", "reserved_7_differences": "with them"}
 """Simulated places for the miss limit, in the same scenes, by file."""
 RESERVED_LENGTHS = {"reserved_6_300": "after 300 steps", "reserved_6": "after 1000 steps"}
 """Evaluations of the models of the third set of reserved worlds in the same scenes, by file."""

@@ -117,6 +117,7 @@ class FakeVelocityService:
             "speed": float(np.abs(robot.velocity).max()),
             "largest": robot.largest.tolist(),
             "process": os.getpid(),
+            "starts": robot.starts,
             "starts_in_motion": robot.starts_in_motion,
             "requests": robot.requests,
         }

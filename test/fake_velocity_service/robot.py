@@ -20,13 +20,14 @@ class VelocityRobot:
         self.success = True
         self.velocity = np.zeros(6)
         self.largest = np.zeros(6)  # speeds
-        self.starts_in_motion = self.requests = 0
+        self.starts_in_motion = self.starts = self.requests = 0
         self._step = step
         self._limit = CYCLE * np.repeat([acceleration, turn_acceleration], 3)
         self._wanted, self._age, self._owed = np.zeros(6), math.inf, 0.0
 
     def start(self):
         """Switch to the velocity controller."""
+        self.starts += 1
         self.starts_in_motion += bool(np.abs(self.velocity).max() > AT_REST)
         self._wanted = np.zeros(6)
         return self.success

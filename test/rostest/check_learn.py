@@ -33,6 +33,7 @@ from embodied_active_learning.session.session import Session
 from embodied_active_learning.session.summary import read_summary
 
 TIMEOUT = 60.0
+STEPS = 150  # in learn.test
 
 
 def positions(message):
@@ -178,9 +179,9 @@ class LearnTest(unittest.TestCase):
                 break
             waiting.wait(0.2)
         session = Session.open_read_only(path)
-        assert len(session.open_observations()) == 150
-        assert session.read_table("training")["update"].tolist() == list(range(1, 151))
-        assert session.read_table("exploration")["step"].tolist() == list(range(1, 151))
+        assert len(session.open_observations()) == STEPS
+        assert session.read_table("training")["update"].tolist() == list(range(1, STEPS + 1))
+        assert session.read_table("exploration")["step"].tolist() == list(range(1, STEPS + 1))
         assert read_summary(summary).finished
         assert session.paths.model.exists()
         assert [file.name for file in figures if not file.exists()] == []

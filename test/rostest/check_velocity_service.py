@@ -89,7 +89,10 @@ class VelocityServiceTest(unittest.TestCase):
         thread.join(TIMEOUT)
         self.assertIn("no response from /klerg_cmd: none within 0.4 s", responses[0].message)
         self.until(lambda: "/klerg_cmd" in self.recover().message)  # once the arm is known to be at rest
+        requests = self.truth()["requests"]
         self.switch("hang", False)
+        # The request that was hanging moves the robot once more.
+        self.until(lambda: self.truth()["requests"] > requests and self.is_at_rest())
         self.assertFalse(self.move(0.01, 0.0, 0.0, 0.1).success)
         self.until(lambda: self.recover().success)
         self.until(lambda: self.move(0.01, 0.0, 0.0, 0.1).success)
@@ -99,6 +102,7 @@ class VelocityServiceTest(unittest.TestCase):
         os.kill(before, signal.SIGKILL)
         self.until(lambda: self.process() not in (None, before))
         self.until(lambda: self.move(0.01, 0.0, 0.0, 0.1).success)
+        self.assertIn(self.truth()["starts"], range(1, 4))  # more than one after a response that was late
 
     def process(self):
         """Return the process of the service; None while it is restarting."""

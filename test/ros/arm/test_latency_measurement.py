@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ class Arm:
 
     def __init__(self):
         self.calls = []
+        self._stop_lock = threading.Lock()
         self.moves_until_failure = 10**4
         self.is_commander = True
         self.time = 0.0

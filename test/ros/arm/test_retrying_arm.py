@@ -38,6 +38,7 @@ class Arm:
         self.calls = []
         self.failures = []
         self.heartbeats = 0
+        self._stop_lock = threading.Lock()
         self.responds = threading.Event()
         self.responds.set()
 

@@ -62,7 +62,7 @@ class ArmArbiter:
             with self._motion_lock:
                 with self._lock:
                     self._require_not_stopped()  # again: no motion after an earlier stop was confirmed
-                    self._has_lease = not signal.is_set()  # the commander's own stop may have ended it meanwhile
+                    self._has_lease = not signal.is_set()  # its own stop, meanwhile, releases control
                 yield signal
         finally:
             with self._lock:
@@ -172,7 +172,7 @@ class ArmArbiter:
                     f"{self._commander} controls the arm: stop that node, or retry {self._timeout:g} s after its last "
                     "heartbeat (arm/commander_timeout)"
                 )
-            self._commander, self._busy, self._has_lease = caller, True, True
+            self._commander, self._busy = caller, True
             self._stop_signal = StopSignal()
             if self._closed_by:
                 self._stop_signal.set(self._closed_by)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, Callable, Sequence
 
 import rospy
@@ -31,6 +32,7 @@ class ArmClient:
         self._heartbeat = rospy.ServiceProxy(names.ARM_HEARTBEAT, Trigger)
         self._restore = rospy.ServiceProxy(names.ARM_RESTORE, RestoreArm)
         self._can_restore = False
+        self._stop_lock = threading.Lock()
 
     @property
     def can_restore(self) -> bool:
@@ -74,14 +76,15 @@ class ArmClient:
         Args:
             without_response: Also send the stop if the heartbeat gets no response, as while this node shuts down.
         """
-        try:
-            is_commander = self.heartbeat()
-        except CommandError:
-            if not without_response:
-                raise
-            is_commander = True
-        if is_commander:
-            self.stop()
+        with self._stop_lock:  # of two stops at once, the second would come from a node without control
+            try:
+                is_commander = self.heartbeat()
+            except CommandError:
+                if not without_response:
+                    raise
+                is_commander = True
+            if is_commander:
+                self.stop()
 
 
 def _command(service: Any, *arguments: Any) -> PlanarState:

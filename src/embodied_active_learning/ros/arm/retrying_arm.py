@@ -68,7 +68,6 @@ class RetryingArm:
         self._lease = Lease(config.arm.commander_timeout, self._arm.heartbeat)
         self._retry = RetryPolicy(config.arm.retries, timeout)
         self._arm_lock = threading.Lock()  # held during a call of the arm's services
-        self._stop_lock = threading.Lock()  # a second stop, after the first has released control, would be an emergency
         self._running = threading.Event()
         self._running.set()
         self._waiting_for = ""
@@ -192,8 +191,7 @@ class RetryingArm:
         """Stop the command in progress, so that the current call raises its error without a retry; from any thread."""
         self._retry.cancel()
         try:
-            with self._stop_lock:  # not that of the arm, which the command in progress holds
-                self._arm.stop_if_commander()
+            self._arm.stop_if_commander()  # without the lock, which the command in progress holds
         except CommandError as error:
             rospy.logwarn("stop not confirmed: %s", error)
 
@@ -303,8 +301,7 @@ class RetryingArm:
         try:
             with self._arm_lock:
                 if self.in_control:
-                    with self._stop_lock:
-                        self._arm.stop_if_commander(without_response=True)
+                    self._arm.stop_if_commander(without_response=True)
                 self._lease.end()
                 self._restore_point.release()
             outcome.set_result(None)
